@@ -1,0 +1,111 @@
+//! The arrays of a compiled scene, each with the ranges that changed since an executor last copied it.
+
+use std::ops::Range;
+
+use bytemuck::Pod;
+
+use super::layout::{Instance, Light, Material, Node, Streams, TextureInfo, Triangle};
+
+/// A compiled scene: what the traversal kernel reads. Indices in one array refer to another as
+/// [`layout`](super::layout) says.
+#[derive(Debug, Default)]
+pub struct DeviceArrays {
+    /// The top-level hierarchy over `instances`.
+    pub tlas_nodes: DeviceBuffer<Node>,
+    /// Bottom-level structures placed in the world. Slots of removed instances are zero and unreachable.
+    pub instances: DeviceBuffer<Instance>,
+    /// The bottom-level hierarchies, one after the other.
+    pub blas_nodes: DeviceBuffer<Node>,
+    /// Their triangles, in leaf order.
+    pub triangles: DeviceBuffer<Triangle>,
+    /// One a geometry.
+    pub geometries: DeviceBuffer<Streams>,
+    /// Vertex indices, three a triangle in the geometry's own order.
+    pub indices: DeviceBuffer<u32>,
+    /// Vertex normals, three numbers each.
+    pub normals: DeviceBuffer<f32>,
+    /// Texture coordinates.
+    pub tex_coords: DeviceBuffer<[f32; 2]>,
+    /// Vertex colours, four 16-bit unorms each.
+    pub colors: DeviceBuffer<[u32; 2]>,
+    /// One a material.
+    pub materials: DeviceBuffer<Material>,
+    /// One a texture reference of a material.
+    pub texture_infos: DeviceBuffer<TextureInfo>,
+    /// RGBA8, red lowest, row by row.
+    pub texels: DeviceBuffer<u32>,
+    /// One a visible light node.
+    pub lights: DeviceBuffer<Light>,
+}
+
+/// An array and what changed in it.
+#[derive(Debug)]
+pub struct DeviceBuffer<T> {
+    data: Vec<T>,
+    dirty: Vec<Range<usize>>,
+}
+
+impl<T> Default for DeviceBuffer<T> {
+    fn default() -> Self {
+        Self { data: Vec::new(), dirty: Vec::new() }
+    }
+}
+
+impl<T> std::ops::Deref for DeviceBuffer<T> {
+    type Target = [T];
+
+    fn deref(&self) -> &[T] {
+        &self.data
+    }
+}
+
+impl<T: Pod + PartialEq> DeviceBuffer<T> {
+    /// Writes `values` from index `first` on, growing with zeros where needed. Elements that are equal already at either
+    /// end are not marked as changed.
+    pub fn write(&mut self, first: usize, values: &[T]) {
+        let end = first + values.len();
+        let old_len = self.data.len();
+        if end > old_len {
+            self.data.resize(end, T::zeroed());
+        }
+        let current = &mut self.data[first..end];
+        let changed = |&i: &usize| first + i >= old_len || current[i] != values[i];
+        let (Some(from), Some(last)) = ((0..values.len()).find(changed), (0..values.len()).rfind(changed)) else {
+            return;
+        };
+        current[from..=last].copy_from_slice(&values[from..=last]);
+        // A gap between the old end and `first` is new to the executor too.
+        self.mark((first + from).min(old_len)..first + last + 1);
+    }
+
+    /// Replaces the whole array.
+    pub fn replace(&mut self, values: &[T]) {
+        self.data.truncate(values.len());
+        self.write(0, values);
+    }
+
+    /// The ranges that changed since the last call, sorted and disjoint, none beyond the array's end.
+    pub fn take_dirty(&mut self) -> Vec<Range<usize>> {
+        let mut ranges = std::mem::take(&mut self.dirty);
+        ranges.sort_unstable_by_key(|r| r.start);
+        let mut merged: Vec<Range<usize>> = Vec::with_capacity(ranges.len());
+        for range in ranges {
+            let range = range.start..range.end.min(self.data.len());
+            match merged.last_mut() {
+                Some(last) if range.start <= last.end => last.end = last.end.max(range.end),
+                _ if range.is_empty() => {}
+                _ => merged.push(range),
+            }
+        }
+        merged
+    }
+
+    fn mark(&mut self, range: Range<usize>) {
+        match self.dirty.last_mut() {
+            Some(last) if range.start <= last.end && range.end >= last.start => {
+                *last = last.start.min(range.start)..last.end.max(range.end);
+            }
+            _ => self.dirty.push(range),
+        }
+    }
+}

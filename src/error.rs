@@ -1,0 +1,128 @@
+//! The one error type: what failed, which object, and the likely cause.
+
+use std::path::PathBuf;
+
+use crate::graph::Object;
+
+/// Everything that can go wrong, with the key, path, index or limit and the likely cause.
+///
+/// A call that returns an error has left the scene and the file system as they were.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A key names nothing in this scene.
+    #[error("{object} is not in this scene: it was removed, or its key comes from another scene")]
+    StaleKey {
+        /// The key that was passed in.
+        object: Object,
+    },
+    /// A node was to become its own ancestor.
+    #[error("{node} cannot become a child of {parent}, which is below it (or is it): that would close a cycle")]
+    Cycle {
+        /// The node that was to move.
+        node: Object,
+        /// The parent it was to get.
+        parent: Object,
+    },
+    /// The root node was to be removed, moved or given a core other than a group.
+    #[error("the root node cannot be {attempt}: it lives as long as its scene")]
+    Root {
+        /// What was attempted, as a participle: "removed".
+        attempt: &'static str,
+    },
+    /// A node's core is of another kind than the call needs.
+    #[error("{node} has a {found} core where a {expected} core is needed")]
+    WrongCore {
+        /// The node.
+        node: Object,
+        /// The kind of core that the call needs.
+        expected: &'static str,
+        /// The kind of core that the node has.
+        found: &'static str,
+    },
+    /// A value that must be a number within a range is not.
+    #[error("{what} is {value}, but must be {expected}")]
+    OutOfRange {
+        /// What the value is: "material roughness".
+        what: &'static str,
+        /// The value, as given.
+        value: String,
+        /// What is allowed: "finite", "between 0 and 1".
+        expected: &'static str,
+    },
+    /// A geometry's arrays contradict each other.
+    #[error("geometry {what}[{index}] is {value}, but {expected}")]
+    InvalidGeometry {
+        /// The array: "positions", "indices", "normals".
+        what: &'static str,
+        /// The first offending element (or the array's length, where the length is wrong).
+        index: usize,
+        /// The offending value.
+        value: String,
+        /// What is allowed, and the limit.
+        expected: String,
+    },
+    /// A file could not be read or written.
+    #[error("{path}: {source}")]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the operating system said.
+        source: std::io::Error,
+    },
+    /// A glTF file breaks the specification, or is damaged.
+    #[error("{path}: {object}: {cause}")]
+    Gltf {
+        /// The file.
+        path: PathBuf,
+        /// The JSON pointer of the offending object, as the glTF validator writes it: "/nodes/3/children/0".
+        object: String,
+        /// What is wrong with it.
+        cause: String,
+    },
+    /// A glTF file requires an extension that Ropewalk does not have.
+    #[error("{path}: requires the extension {extension}, which is not supported")]
+    UnsupportedExtension {
+        /// The file.
+        path: PathBuf,
+        /// The extension's name.
+        extension: String,
+    },
+    /// There is no usable GPU.
+    #[error("no usable GPU: {reason}")]
+    NoGpu {
+        /// Each adapter that was looked at, and why it was not taken.
+        reason: String,
+    },
+    /// The scene or image needs more of a resource than there is.
+    #[error("{what} needs {needed}, more than the limit of {limit}{hint}")]
+    Limit {
+        /// The resource: "the triangles buffer (bytes)".
+        what: &'static str,
+        /// How much the scene needs.
+        needed: u64,
+        /// How much there is.
+        limit: u64,
+        /// What would help, starting with "; ", or nothing.
+        hint: &'static str,
+    },
+    /// The GPU driver reported a failure.
+    #[error("the GPU failed during {during}: {message}")]
+    Gpu {
+        /// What was being done: "frame readback".
+        during: &'static str,
+        /// What the driver said.
+        message: String,
+    },
+    /// An image could not be encoded.
+    #[error("{path}: {source}")]
+    Image {
+        /// The file.
+        path: PathBuf,
+        /// What the encoder said.
+        source: image::ImageError,
+    },
+}
+
+/// [`std::result::Result`] with this crate's [`enum@Error`].
+pub type Result<T, E = Error> = std::result::Result<T, E>;

@@ -1,0 +1,92 @@
+//! Triangle meshes: shared, immutable vertex streams.
+
+use std::sync::Arc;
+
+use glam::{Vec2, Vec3, Vec4};
+
+use crate::{Error, Result};
+
+/// An indexed triangle mesh in local space.
+///
+/// The streams are reference counted, so a clone is cheap and shares them. Every optional stream, where present, has one
+/// element a position. Triangles wind counter-clockwise seen from their front, as in glTF.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Geometry {
+    /// Vertex positions, local space, in the scene's unit of length. Finite.
+    pub positions: Arc<[Vec3]>,
+    /// Three indices into `positions` for each triangle.
+    pub indices: Arc<[[u32; 3]]>,
+    /// Unit normals, local space. Without them the triangles are shaded flat.
+    pub normals: Option<Arc<[Vec3]>>,
+    /// Texture coordinates, sets 0 and 1; (0, 0) is the upper left corner of an image.
+    pub tex_coords: [Option<Arc<[Vec2]>>; 2],
+    /// Linear RGBA in 0 to 1, multiplied with the material's base colour.
+    pub colors: Option<Arc<[Vec4]>>,
+}
+
+impl Geometry {
+    /// The largest number of triangles in one geometry: a leaf's first primitive has 28 bits.
+    pub const MAX_TRIANGLES: usize = 1 << 28;
+
+    /// A geometry of positions and triangles alone.
+    pub fn new(positions: impl Into<Arc<[Vec3]>>, indices: impl Into<Arc<[[u32; 3]]>>) -> Self {
+        Self { positions: positions.into(), indices: indices.into(), ..Self::default() }
+    }
+
+    /// Checks all that the renderer relies on: finite values, indices in range, streams of equal length. O(vertices + triangles).
+    ///
+    /// # Errors
+    /// [`Error::InvalidGeometry`] with the array, the index and the limit.
+    pub fn validate(&self) -> Result<()> {
+        let vertex_count = self.positions.len();
+        let invalid =
+            |what, index, value: String, expected: String| Error::InvalidGeometry { what, index, value, expected };
+
+        if self.indices.len() > Self::MAX_TRIANGLES {
+            let expected = format!("at most {} triangles fit in one geometry", Self::MAX_TRIANGLES);
+            return Err(invalid("indices", self.indices.len(), "present".into(), expected));
+        }
+        if let Some(i) = self.indices.iter().position(|t| t.iter().any(|&v| v as usize >= vertex_count)) {
+            let expected = format!("there are {vertex_count} positions");
+            return Err(invalid("indices", i, format!("{:?}", self.indices[i]), expected));
+        }
+
+        check_finite("positions", &self.positions, |v| v.is_finite())?;
+        for (what, stream) in [("tex_coords[0]", &self.tex_coords[0]), ("tex_coords[1]", &self.tex_coords[1])] {
+            check_stream(what, stream.as_deref(), vertex_count, |v| v.is_finite())?;
+        }
+        check_stream("normals", self.normals.as_deref(), vertex_count, |v| v.is_finite())?;
+        check_stream("colors", self.colors.as_deref(), vertex_count, |v| v.is_finite())
+    }
+}
+
+fn check_stream<T: std::fmt::Debug>(
+    what: &'static str,
+    stream: Option<&[T]>,
+    vertex_count: usize,
+    is_finite: impl Fn(&T) -> bool,
+) -> Result<()> {
+    let Some(stream) = stream else { return Ok(()) };
+    if stream.len() != vertex_count {
+        let (index, value) = (stream.len(), "the length".to_owned());
+        return Err(Error::InvalidGeometry {
+            what,
+            index,
+            value,
+            expected: format!("there are {vertex_count} positions"),
+        });
+    }
+    check_finite(what, stream, is_finite)
+}
+
+fn check_finite<T: std::fmt::Debug>(what: &'static str, stream: &[T], is_finite: impl Fn(&T) -> bool) -> Result<()> {
+    match stream.iter().position(|v| !is_finite(v)) {
+        None => Ok(()),
+        Some(index) => Err(Error::InvalidGeometry {
+            what,
+            index,
+            value: format!("{:?}", stream[index]),
+            expected: "every number must be finite".to_owned(),
+        }),
+    }
+}

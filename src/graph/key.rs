@@ -1,0 +1,67 @@
+//! Handles: generation-checked keys that outlive any edit.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+use slotmap::Key as _;
+
+slotmap::new_key_type! {
+    /// Names a node of a scene.
+    pub struct NodeKey;
+    /// Names a core: what a node is. Nodes that share a core share its edits.
+    pub struct CoreKey;
+    /// Names a [`Geometry`](super::Geometry).
+    pub struct GeometryKey;
+    /// Names a [`Material`](super::Material).
+    pub struct MaterialKey;
+    /// Names a [`Texture`](super::Texture).
+    pub struct TextureKey;
+}
+
+/// Any object of a scene, by its key.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[non_exhaustive]
+pub enum Object {
+    /// A node.
+    Node(NodeKey),
+    /// A core.
+    Core(CoreKey),
+    /// A geometry.
+    Geometry(GeometryKey),
+    /// A material.
+    Material(MaterialKey),
+    /// A texture.
+    Texture(TextureKey),
+}
+
+impl fmt::Display for Object {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (kind, key) = match *self {
+            Self::Node(key) => ("node", key.data()),
+            Self::Core(key) => ("core", key.data()),
+            Self::Geometry(key) => ("geometry", key.data()),
+            Self::Material(key) => ("material", key.data()),
+            Self::Texture(key) => ("texture", key.data()),
+        };
+        // slotmap writes "3v1": slot 3, version 1.
+        write!(f, "{kind} {key:?}")
+    }
+}
+
+macro_rules! object_from_key {
+    ($($key:ident => $variant:ident),* $(,)?) => {
+        $(impl From<$key> for Object {
+            fn from(key: $key) -> Self {
+                Self::$variant(key)
+            }
+        })*
+    };
+}
+
+object_from_key! {
+    NodeKey => Node,
+    CoreKey => Core,
+    GeometryKey => Geometry,
+    MaterialKey => Material,
+    TextureKey => Texture,
+}

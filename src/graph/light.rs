@@ -1,0 +1,32 @@
+//! Punctual lights, as `KHR_lights_punctual` defines them.
+
+use glam::Vec3;
+
+/// A light at its node's origin, shining along the node's -Z axis where it has a direction. Scale does not affect it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Light {
+    /// Its shape.
+    pub kind: LightKind,
+    /// Linear colour, multiplied with `intensity`.
+    pub color: Vec3,
+    /// Candela (point, spot) or lux (directional).
+    pub intensity: f32,
+    /// Beyond this distance it does not shine (point, spot); unlimited if `None`.
+    pub range: Option<f32>,
+}
+
+/// The shape of a light.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum LightKind {
+    /// Shines equally in all directions.
+    Point,
+    /// Shines in a cone around -Z.
+    Spot {
+        /// Half angle, in radians, inside which it shines fully.
+        inner_cone_angle: f32,
+        /// Half angle, in radians, outside which it does not shine; at most pi / 2.
+        outer_cone_angle: f32,
+    },
+    /// Infinitely far away, shining along -Z.
+    Directional,
+}

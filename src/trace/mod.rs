@@ -1,0 +1,53 @@
+//! Executors of the device arrays.
+
+use serde::Serialize;
+
+use crate::Result;
+use crate::compile::Needs;
+use crate::device::DeviceArrays;
+use crate::device::layout::{FrameParams, Hit, Ray};
+use crate::image::Image;
+
+/// Something that traces rays through [`DeviceArrays`]: the same rays through the same arrays give the same hits in
+/// every executor (see the tie band in `docs/ARCHITECTURE.md`).
+///
+/// Call [`upload`](Self::upload) after the arrays change and before tracing.
+pub trait Tracer {
+    /// What runs the kernel.
+    fn device(&self) -> &DeviceInfo;
+
+    /// Brings the executor's copy of the arrays up to date and returns the bytes copied.
+    fn upload(&mut self, arrays: &mut DeviceArrays) -> Result<u64>;
+
+    /// Traces a frame, which stays where it was made until [`read`](Self::read).
+    fn render(&mut self, arrays: &DeviceArrays, request: &FrameRequest) -> Result<()>;
+
+    /// The last frame rendered.
+    fn read(&mut self) -> Result<Image>;
+
+    /// The closest hit of each ray, of instances that share a bit with `ray_mask`.
+    fn closest_hits(&mut self, arrays: &DeviceArrays, rays: &[Ray], ray_mask: u32) -> Result<Vec<Hit>>;
+
+    /// For each ray, whether it meets anything opaque.
+    fn any_hits(&mut self, arrays: &DeviceArrays, rays: &[Ray], ray_mask: u32) -> Result<Vec<bool>>;
+}
+
+/// One frame to trace.
+#[derive(Clone, Copy, Debug)]
+pub struct FrameRequest {
+    /// Camera, sky and limits.
+    pub params: FrameParams,
+    /// What the kernel must be able to do.
+    pub needs: Needs,
+    /// Whether [`Image::aovs`] is wanted.
+    pub aovs: bool,
+}
+
+/// What runs the kernel.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct DeviceInfo {
+    /// "gpu", "cpu" or "emulated".
+    pub executor: &'static str,
+    /// The device's own name and driver, or the number of threads.
+    pub name: String,
+}
