@@ -1,5 +1,6 @@
 //! Ropewalk: a retained scene graph that is ray traced.
 
+pub mod accel;
 pub mod compile;
 pub mod device;
 mod error;
