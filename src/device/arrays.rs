@@ -58,6 +58,23 @@ impl DeviceArrays {
             + bytes(&self.texels)
             + bytes(&self.lights)
     }
+
+    /// Empties the list of changed ranges of every array, for executors that read the arrays in place.
+    pub fn forget_dirty(&mut self) {
+        self.tlas_nodes.dirty.clear();
+        self.instances.dirty.clear();
+        self.blas_nodes.dirty.clear();
+        self.triangles.dirty.clear();
+        self.geometries.dirty.clear();
+        self.indices.dirty.clear();
+        self.normals.dirty.clear();
+        self.tex_coords.dirty.clear();
+        self.colors.dirty.clear();
+        self.materials.dirty.clear();
+        self.texture_infos.dirty.clear();
+        self.texels.dirty.clear();
+        self.lights.dirty.clear();
+    }
 }
 
 /// An array and what changed in it.
