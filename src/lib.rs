@@ -9,3 +9,9 @@ pub mod math;
 pub mod trace;
 
 pub use error::{Error, Result};
+pub use graph::{
+    AlphaMode, Camera, Change, Changes, Core, CoreKey, CoreSource, Cursor, Filter, Geometry, GeometryKey, Hierarchy,
+    Keep, Light, LightKind, Material, MaterialKey, NodeKey, Object, Sampler, Scene, SceneId, Texture, TextureKey,
+    TextureRef, Transform, Wrap,
+};
+pub use math::{Aabb, Bounds};
