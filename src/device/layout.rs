@@ -112,6 +112,8 @@ bitflags::bitflags! {
         const ALPHA_MASK = 4;
         /// `any_hit` must ask the material how much light passes (alpha mask, blend or transmission).
         const TRANSLUCENT = 8;
+        /// A transmissive surface that encloses nothing (its geometry is not closed): light passes without bending.
+        const THIN = 16;
     }
 }
 
