@@ -1,6 +1,8 @@
 // Every type that crosses to the device, and the arrays. Twin of src/device/layout.rs: see there for what each member means.
 
 const NONE: u32 = 0xffffffffu;
+const F32_MAX: f32 = 0x1.fffffep+127f;
+const F32_MIN_NORMAL: f32 = 0x1p-126f;
 
 struct Node {
     min: vec3<f32>,
@@ -134,6 +136,13 @@ struct Hit {
     primitive: u32,
     triangle: u32,
     back: u32,
+    _pad: u32,
+}
+
+struct RayBatch {
+    first: u32,
+    count: u32,
+    ray_mask: u32,
     _pad: u32,
 }
 

@@ -38,6 +38,45 @@ pub struct DeviceArrays {
     pub lights: DeviceBuffer<Light>,
 }
 
+impl DeviceArrays {
+    /// The size of all arrays together.
+    pub fn byte_count(&self) -> u64 {
+        fn bytes<T>(array: &[T]) -> u64 {
+            size_of_val(array) as u64
+        }
+        bytes(&self.tlas_nodes)
+            + bytes(&self.instances)
+            + bytes(&self.blas_nodes)
+            + bytes(&self.triangles)
+            + bytes(&self.geometries)
+            + bytes(&self.indices)
+            + bytes(&self.normals)
+            + bytes(&self.tex_coords)
+            + bytes(&self.colors)
+            + bytes(&self.materials)
+            + bytes(&self.texture_infos)
+            + bytes(&self.texels)
+            + bytes(&self.lights)
+    }
+
+    /// Empties the list of changed ranges of every array, for executors that read the arrays in place.
+    pub fn forget_dirty(&mut self) {
+        self.tlas_nodes.dirty.clear();
+        self.instances.dirty.clear();
+        self.blas_nodes.dirty.clear();
+        self.triangles.dirty.clear();
+        self.geometries.dirty.clear();
+        self.indices.dirty.clear();
+        self.normals.dirty.clear();
+        self.tex_coords.dirty.clear();
+        self.colors.dirty.clear();
+        self.materials.dirty.clear();
+        self.texture_infos.dirty.clear();
+        self.texels.dirty.clear();
+        self.lights.dirty.clear();
+    }
+}
+
 /// An array and what changed in it.
 #[derive(Debug)]
 pub struct DeviceBuffer<T> {
@@ -80,8 +119,16 @@ impl<T: Pod + PartialEq> DeviceBuffer<T> {
 
     /// Replaces the whole array.
     pub fn replace(&mut self, values: &[T]) {
-        self.data.truncate(values.len());
+        self.truncate(values.len());
         self.write(0, values);
+    }
+
+    /// Drops all elements from index `len` on.
+    pub fn truncate(&mut self, len: usize) {
+        self.data.truncate(len);
+        if self.data.capacity() > 4 * len {
+            self.data.shrink_to(2 * len);
+        }
     }
 
     /// The ranges that changed since the last call, sorted and disjoint, none beyond the array's end.

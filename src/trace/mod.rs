@@ -1,5 +1,15 @@
 //! Executors of the device arrays.
 
+mod cpu;
+mod emulated;
+#[allow(dead_code, reason = "shading, not merged yet, uses the rest")]
+mod kernel;
+mod planes;
+pub mod shader;
+
+pub use cpu::Cpu;
+pub use emulated::Emulated;
+
 use serde::Serialize;
 
 use crate::Result;
