@@ -10,7 +10,7 @@ use std::f64::consts::TAU;
 
 use glam::{DQuat, DVec3, Vec2, Vec3, dvec3, vec2};
 use ropewalk::graph::{CoreKey, Geometry, Light, LightKind, Material, NodeKey, TextureRef};
-use ropewalk::{Camera, Core, Result, Scene, Transform};
+use ropewalk::{Camera, Core, Result, Scene, Sky, Transform};
 
 /// Columns around the court.
 const COLUMNS: u32 = 14;
@@ -24,9 +24,12 @@ const BEADS: u32 = 25;
 /// Adds the colonnade and its light to an empty scene and returns its camera's node.
 pub fn build(scene: &mut Scene) -> Result<NodeKey> {
     let root = scene.root();
-    add_court(scene, root)?;
-    add_colonnade(scene, root)?;
-    add_knot(scene, root)?;
+    let texture = scene.add_texture(textures::marble(256))?;
+    let marble =
+        Material { base_color_texture: Some(TextureRef::new(texture)), roughness: 0.5, ..Material::default() };
+    add_court(scene, root, &marble)?;
+    add_colonnade(scene, root, &marble)?;
+    add_knot(scene, root, &marble)?;
     add_balls(scene, root)?;
 
     // A low sun from the left, a little behind what is seen: columns and beads draw long shadows over the floor.
@@ -48,8 +51,18 @@ pub fn build(scene: &mut Scene) -> Result<NodeKey> {
     Ok(camera)
 }
 
+/// The evening sky above it.
+pub fn sky() -> Sky {
+    Sky {
+        zenith: Vec3::new(0.16, 0.30, 0.62),
+        horizon: Vec3::new(0.95, 0.74, 0.56),
+        ground: Vec3::new(0.20, 0.17, 0.15),
+        up: Vec3::Y,
+    }
+}
+
 /// The floor and the steps below the knot.
-fn add_court(scene: &mut Scene, root: NodeKey) -> Result<()> {
+fn add_court(scene: &mut Scene, root: NodeKey, marble: &Material) -> Result<()> {
     let texture = scene.add_texture(textures::marble_checker(512))?;
     let polished =
         Material { base_color_texture: Some(TextureRef::new(texture)), roughness: 0.0, ..Material::default() };
@@ -57,9 +70,8 @@ fn add_court(scene: &mut Scene, root: NodeKey) -> Result<()> {
     let node = scene.add(root, floor)?;
     scene.set_name(node, "floor")?;
 
-    let marble = marble(scene)?;
     let step = [(0.0, 0.0), (1.0, 0.0), (1.0, 0.9), (0.96, 1.0), (0.0, 1.0)];
-    let step = core(scene, shapes::lathe(&points(&step), 96, 0, 0.0), marble)?;
+    let step = core(scene, shapes::lathe(&points(&step), 96, 0, 0.0), marble.clone())?;
     let steps = group(scene, root, "steps")?;
     for (radius, bottom, height) in [(1.45, 0.0, 0.14), (1.15, 0.14, 0.14)] {
         let scale = dvec3(radius, height, radius);
@@ -69,9 +81,7 @@ fn add_court(scene: &mut Scene, root: NodeKey) -> Result<()> {
 }
 
 /// Columns, the ring of stone on top of them, and a garland from each to the next.
-fn add_colonnade(scene: &mut Scene, root: NodeKey) -> Result<()> {
-    let marble = marble(scene)?;
-    let stone = Material { roughness: 0.7, ..marble };
+fn add_colonnade(scene: &mut Scene, root: NodeKey, marble: &Material) -> Result<()> {
     let colonnade = group(scene, root, "colonnade")?;
 
     // Each profile is a column part's own: heights are absolute.
@@ -85,9 +95,9 @@ fn add_colonnade(scene: &mut Scene, root: NodeKey) -> Result<()> {
         [(0.27, -0.40), (0.29, -0.37), (0.27, -0.34), (0.30, -0.28), (0.42, -0.14), (0.45, -0.12), (0.45, 0.0)];
     let capital = capital.map(|(radius, below_top)| (radius, height + below_top));
     let parts = [
-        core(scene, shapes::lathe(&points(&base), 48, 0, 0.0), stone.clone())?,
-        core(scene, shapes::lathe(&points(&shaft), 160, 20, 0.07), stone.clone())?,
-        core(scene, shapes::lathe(&points(&capital), 48, 0, 0.0), stone.clone())?,
+        core(scene, shapes::lathe(&points(&base), 48, 0, 0.0), marble.clone())?,
+        core(scene, shapes::lathe(&points(&shaft), 160, 20, 0.07), marble.clone())?,
+        core(scene, shapes::lathe(&points(&capital), 48, 0, 0.0), marble.clone())?,
     ];
     for i in 0..COLUMNS {
         let column = scene.add(colonnade, Transform::from_translation(column_axis(i)))?;
@@ -103,7 +113,7 @@ fn add_colonnade(scene: &mut Scene, root: NodeKey) -> Result<()> {
         (inner - 0.08, 0.56), (inner - 0.08, 0.34), (inner, 0.30), (inner, 0.0),
     ];
     let ring = ring.map(|(radius, above)| (radius, height + above));
-    let ring = core(scene, shapes::lathe(&points(&ring), 128, 0, 0.0), stone)?;
+    let ring = core(scene, shapes::lathe(&points(&ring), 128, 0, 0.0), marble.clone())?;
     let ring = scene.add(colonnade, ring)?;
     scene.set_name(ring, "ring")?;
 
@@ -142,13 +152,12 @@ fn add_garlands(scene: &mut Scene, colonnade: NodeKey) -> Result<()> {
 }
 
 /// The rope: three strands of one geometry, tied into a trefoil knot, on a drum of marble.
-fn add_knot(scene: &mut Scene, root: NodeKey) -> Result<()> {
-    let marble = marble(scene)?;
+fn add_knot(scene: &mut Scene, root: NodeKey, marble: &Material) -> Result<()> {
     let drum = [
         (0.62, 0.28), (0.62, 0.36), (0.56, 0.40), (0.50, 0.44), (0.50, 1.00), (0.54, 1.04), (0.60, 1.07), (0.60, 1.13),
         (0.57, 1.16), (0.0, 1.16),
     ];
-    let drum = core(scene, shapes::lathe(&points(&drum), 96, 0, 0.0), marble)?;
+    let drum = core(scene, shapes::lathe(&points(&drum), 96, 0, 0.0), marble.clone())?;
     let drum = scene.add(root, drum)?;
     scene.set_name(drum, "drum")?;
 
@@ -215,11 +224,6 @@ fn at(translation: DVec3, scale: f64) -> Transform {
 
 fn points(profile: &[(f32, f32)]) -> Vec<Vec2> {
     profile.iter().map(|&(radius, height)| vec2(radius, height)).collect()
-}
-
-fn marble(scene: &mut Scene) -> Result<Material> {
-    let texture = scene.add_texture(textures::marble(256))?;
-    Ok(Material { base_color_texture: Some(TextureRef::new(texture)), roughness: 0.45, ..Material::default() })
 }
 
 fn core(scene: &mut Scene, geometry: Geometry, material: Material) -> Result<CoreKey> {
