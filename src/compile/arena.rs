@@ -26,11 +26,7 @@ impl Arena {
     ///
     /// # Errors
     /// [`Error::Limit`] beyond 2^32 - 1 elements: an index has 32 bits.
-    pub(super) fn store<T: Pod + PartialEq>(
-        &mut self,
-        buffer: &mut DeviceBuffer<T>,
-        values: &[T],
-    ) -> Result<Range<u32>> {
+    pub(super) fn store<T: Pod>(&mut self, buffer: &mut DeviceBuffer<T>, values: &[T]) -> Result<Range<u32>> {
         if values.is_empty() {
             return Ok(0..0);
         }
@@ -45,7 +41,7 @@ impl Arena {
     }
 
     /// Gives a range back. The buffer ends where the last range in use does.
-    pub(super) fn release<T: Pod + PartialEq>(&mut self, buffer: &mut DeviceBuffer<T>, range: Range<u32>) {
+    pub(super) fn release<T: Pod>(&mut self, buffer: &mut DeviceBuffer<T>, range: Range<u32>) {
         if range.is_empty() {
             return;
         }

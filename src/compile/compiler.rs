@@ -128,7 +128,8 @@ impl Compiler {
         let ranges: Vec<Range<usize>> = if dirty.structure || rebased {
             vec![0..self.instances.members().len()]
         } else {
-            let mut moved = dirty.moved.iter().filter_map(|&node| Some(hierarchy.index(node)? as u32)).collect::<Vec<_>>();
+            let mut moved =
+                dirty.moved.iter().filter_map(|&node| Some(hierarchy.index(node)? as u32)).collect::<Vec<_>>();
             hierarchy.outermost_subtrees(&mut moved).map(|subtree| self.instances.members_in(subtree)).collect()
         };
         let moved = ranges.iter().map(ExactSizeIterator::len).sum();
@@ -161,7 +162,11 @@ impl Compiler {
     fn read_changes(&mut self, scene: &mut Scene) -> Dirty {
         let mut dirty = Dirty::default();
         let changes = match scene.changes_since(&mut self.cursor) {
-            Changes::Everything => return Dirty { everything: true, structure: true, ..dirty },
+            Changes::Everything => {
+                // Keys of different scenes may be equal: nothing of the old one may stay.
+                *self = Self { cursor: std::mem::take(&mut self.cursor), ..Self::new() };
+                return Dirty { everything: true, structure: true, ..dirty };
+            }
             Changes::Since(changes) => changes,
         };
         for (object, change) in changes {

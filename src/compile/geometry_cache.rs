@@ -7,7 +7,7 @@ use slotmap::SecondaryMap;
 
 use super::arena::Arena;
 use crate::Result;
-use crate::accel::Blas;
+use crate::accel::{Blas, BuildParams};
 use crate::device::DeviceArrays;
 use crate::device::layout::{NONE, Streams};
 use crate::graph::{Geometry, GeometryKey, Scene};
@@ -76,17 +76,21 @@ impl GeometryCache {
         used: &SecondaryMap<GeometryKey, ()>,
         arrays: &mut DeviceArrays,
     ) -> Result<GeometryUpdate> {
-        let is_current = |key, entry: &Entry| used.contains_key(key) && scene.geometry_version(key).is_ok_and(|v| v == entry.version);
+        let is_current = |key, entry: &Entry| {
+            used.contains_key(key) && scene.geometry_version(key).is_ok_and(|v| v == entry.version)
+        };
         let stale: Vec<GeometryKey> = self.entries.iter().filter(|&(k, e)| !is_current(k, e)).map(|(k, _)| k).collect();
         for &key in &stale {
             self.free(key, arrays);
         }
 
         let missing = used.keys().filter(|&key| !self.entries.contains_key(key));
-        let missing: Vec<(GeometryKey, u64, &Geometry)> = missing
-            .map(|key| Ok((key, scene.geometry_version(key)?, scene.geometry(key)?)))
+        let missing: Vec<(GeometryKey, u64, &Geometry)> =
+            missing.map(|key| Ok((key, scene.geometry_version(key)?, scene.geometry(key)?))).collect::<Result<_>>()?;
+        let built: Vec<Blas> = missing
+            .par_iter()
+            .map(|(_, _, geometry)| Blas::build(geometry, &BuildParams::default()))
             .collect::<Result<_>>()?;
-        let built: Vec<Blas> = missing.par_iter().map(|(_, _, geometry)| Blas::build(geometry)).collect();
 
         let mut update = GeometryUpdate { freed: stale.len(), ..GeometryUpdate::default() };
         for ((key, version, geometry), blas) in missing.into_iter().zip(built) {
@@ -114,9 +118,8 @@ impl GeometryCache {
     }
 
     fn store(&mut self, version: u64, geometry: &Geometry, blas: &Blas, arrays: &mut DeviceArrays) -> Result<Entry> {
-        let has_streams = geometry.normals.is_some()
-            || geometry.colors.is_some()
-            || geometry.tex_coords.iter().any(Option::is_some);
+        let has_streams =
+            geometry.normals.is_some() || geometry.colors.is_some() || geometry.tex_coords.iter().any(Option::is_some);
         // Without a stream there is nothing to look up by vertex.
         let indices = if has_streams { bytemuck::cast_slice(&geometry.indices) } else { &[] };
         let indices = self.indices.store(&mut arrays.indices, indices)?;

@@ -68,7 +68,8 @@ impl MaterialTable {
         let is_current =
             |key, e: &TextureEntry| used_textures.contains_key(key) && scene.texture(key).is_ok_and(|t| *t == e.source);
         let stale: Vec<_> = self.textures.iter().filter(|&(k, e)| !is_current(k, e)).map(|(k, _)| k).collect();
-        let reads_stale = |m: &Material| texture_slots(m).into_iter().flatten().any(|(r, _)| stale.contains(&r.texture));
+        let reads_stale =
+            |m: &Material| texture_slots(m).into_iter().flatten().any(|(r, _)| stale.contains(&r.texture));
         let is_current = |key, e: &Entry| {
             used.contains_key(key) && scene.material(key).is_ok_and(|m| *m == e.source) && !reads_stale(&e.source)
         };

@@ -49,7 +49,12 @@ impl Placement {
         let mirrored = determinant < 0.0;
         bounds.min.is_finite().then_some(())?;
         bounds.max.is_finite().then_some(())?;
-        Some(Self { local_from_world: rows(&local_from_world), world_from_local: rows(&world_from_local), mirrored, bounds })
+        Some(Self {
+            local_from_world: rows(&local_from_world),
+            world_from_local: rows(&world_from_local),
+            mirrored,
+            bounds,
+        })
     }
 
     /// The device record. `first_*`, `geometry` and `material` are indices into the arrays of those names.
@@ -83,7 +88,8 @@ pub(super) fn material(material: &Material, textures: [u32; 5]) -> layout::Mater
     flags.set(MaterialFlags::MASK, matches!(material.alpha_mode, AlphaMode::Mask { .. }));
     flags.set(MaterialFlags::BLEND, material.alpha_mode == AlphaMode::Blend);
     flags.set(MaterialFlags::UNLIT, material.unlit);
-    let [base_color_texture, metallic_roughness_texture, emissive_texture, transmission_texture, normal_texture] = textures;
+    let [base_color_texture, metallic_roughness_texture, emissive_texture, transmission_texture, normal_texture] =
+        textures;
     layout::Material {
         base_color: material.base_color.to_array(),
         emissive: material.emissive.to_array(),

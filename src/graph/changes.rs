@@ -103,12 +103,10 @@ impl ChangeLog {
     pub(super) fn read(&mut self, scene: SceneId, cursor: &mut Cursor) -> Changes {
         self.forget_dropped_cursors();
         let now = self.begin_segment();
-        match &cursor.subscription {
+        let changes = match &cursor.subscription {
             Some((subscribed, position)) if *subscribed == scene => {
                 let since = position.swap(now, Ordering::Relaxed);
-                let merged = self.merged_since(since);
-                self.merge_between_cursors();
-                Changes::Since(merged)
+                Changes::Since(self.merged_since(since))
             }
             _ => {
                 let position = Arc::new(AtomicU64::new(now));
@@ -116,7 +114,9 @@ impl ChangeLog {
                 cursor.subscription = Some((scene, position));
                 Changes::Everything
             }
-        }
+        };
+        self.merge_between_cursors();
+        changes
     }
 
     /// The start of an open segment without entries.
@@ -133,14 +133,13 @@ impl ChangeLog {
     /// All entries from the segment that starts at `since` on, merged by object. Cursors are where they will be.
     fn merged_since(&mut self, since: u64) -> Vec<(Object, Change)> {
         let first = self.segments.partition_point(|segment| segment.start < since);
-        let last = self.segments.len().saturating_sub(1);
-        let mut merged = if first == 0 && self.lowest_cursor() > since {
+        let mut merged = if self.lowest_cursor() > since {
             // Nobody else is going to read it.
             std::mem::replace(&mut self.segments[first], Segment::new(since))
         } else {
             self.segments[first].copy()
         };
-        for segment in self.segments.range(first + 1..=last.max(first)) {
+        for segment in self.segments.range(first + 1..) {
             merged.absorb(segment);
         }
         merged.entries.retain(|(_, change)| !change.is_empty());
@@ -219,6 +218,9 @@ impl Segment {
 
     /// Adds the changes of the segment after this one. O(changes there), once there is an index.
     fn absorb(&mut self, later: &Self) {
+        if later.entries.is_empty() {
+            return;
+        }
         if self.index.is_empty() {
             self.index = self.entries.iter().enumerate().map(|(place, entry)| (entry.0, place)).collect();
         }

@@ -84,12 +84,10 @@ pub(super) struct CoreSlot {
     pub(super) core: Core,
     pub(super) first_user: Option<NodeKey>,
     pub(super) user_count: usize,
-    /// Whether it is in the list of cores that the hierarchy has to look at.
-    pub(super) stale: bool,
 }
 
 impl CoreSlot {
     pub(super) fn new(core: Core) -> Self {
-        Self { core, first_user: None, user_count: 0, stale: false }
+        Self { core, first_user: None, user_count: 0 }
     }
 }

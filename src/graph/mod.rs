@@ -3,6 +3,7 @@
 //! [`Scene`] owns everything. Its edits and getters stand in files of their own: `structure` (the tree), `cores`, `assets`, `query`.
 
 mod assets;
+mod bit_set;
 mod camera;
 mod changes;
 mod core;

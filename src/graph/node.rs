@@ -15,8 +15,6 @@ pub(super) struct Node {
     pub(super) next_user: Option<NodeKey>,
     pub(super) mask: u32,
     pub(super) visible: bool,
-    /// Whether it is in the list of nodes that the hierarchy has to look at.
-    pub(super) stale: bool,
     pub(super) name: Box<str>,
 }
 
@@ -34,7 +32,6 @@ impl Node {
             next_user: None,
             mask: u32::MAX,
             visible: true,
-            stale: false,
             name: Box::default(),
         }
     }

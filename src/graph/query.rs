@@ -66,7 +66,7 @@ impl Scene {
     /// [`Error::StaleKey`](crate::Error::StaleKey).
     pub fn world(&self, node: NodeKey) -> Result<DAffine3> {
         let own = self.core(node)?;
-        if self.stale.is_empty()
+        if self.hierarchy.is_up_to_date()
             && let Some(index) = self.hierarchy.index(node)
         {
             return Ok(self.hierarchy.worlds()[index]);
@@ -93,7 +93,7 @@ impl Scene {
             let core = &self.cores[slot.core].core;
             let own_world = local_affine(core).map_or(world, |local| world * local);
             if let Core::Geometry { geometry, .. } = *core {
-                bounds = bounds.union(self.geometries[geometry].bounds.transformed(&own_world));
+                bounds = bounds.union(self.geometries[geometry].value.bounds.transformed(&own_world));
             }
             if let Some(child) = slot.first_child {
                 worlds.push(own_world);

@@ -4,12 +4,12 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use slotmap::SlotMap;
 
-use super::assets::Used;
+use super::assets::{StoredGeometry, Used};
 use super::changes::{Change, ChangeLog, Changes, Cursor};
 use super::core::CoreSlot;
-use super::hierarchy::{Hierarchy, Stale};
+use super::hierarchy::Hierarchy;
 use super::node::Node;
-use super::{Core, CoreKey, Geometry, GeometryKey, Material, MaterialKey, NodeKey, Object, Texture, TextureKey};
+use super::{Core, CoreKey, GeometryKey, Material, MaterialKey, NodeKey, Object, Texture, TextureKey};
 use crate::{Error, Result};
 
 /// A retained scene graph.
@@ -57,12 +57,11 @@ pub struct Scene {
     pub(super) root: NodeKey,
     pub(super) nodes: SlotMap<NodeKey, Node>,
     pub(super) cores: SlotMap<CoreKey, CoreSlot>,
-    pub(super) geometries: SlotMap<GeometryKey, Used<Geometry>>,
+    pub(super) geometries: SlotMap<GeometryKey, Used<StoredGeometry>>,
     pub(super) materials: SlotMap<MaterialKey, Used<Material>>,
     pub(super) textures: SlotMap<TextureKey, Used<Texture>>,
     pub(super) log: ChangeLog,
     pub(super) hierarchy: Hierarchy,
-    pub(super) stale: Stale,
     revision: u64,
 }
 
@@ -93,8 +92,7 @@ impl Scene {
             materials: SlotMap::with_key(),
             textures: SlotMap::with_key(),
             log: ChangeLog::default(),
-            hierarchy: Hierarchy::default(),
-            stale: Stale::structure(),
+            hierarchy: Hierarchy::new(),
             revision: 0,
         };
         scene.link_user(scene.root, core);
@@ -143,13 +141,13 @@ impl Scene {
 
     /// Triangles stored: those of each geometry once. O(geometries).
     pub fn triangle_count(&self) -> u64 {
-        self.geometries.values().map(|used| used.value.indices.len() as u64).sum()
+        self.geometries.values().map(|used| used.value.geometry.indices.len() as u64).sum()
     }
 
     /// Triangles seen: those of each geometry once for every node that shows it, visible or not. O(cores).
     pub fn instanced_triangle_count(&self) -> u64 {
         let triangles = |slot: &CoreSlot| match slot.core {
-            Core::Geometry { geometry, .. } => self.geometries[geometry].value.indices.len() as u64,
+            Core::Geometry { geometry, .. } => self.geometries[geometry].value.geometry.indices.len() as u64,
             _ => 0,
         };
         self.cores.values().map(|slot| triangles(slot) * slot.user_count as u64).sum()
@@ -191,7 +189,7 @@ impl Scene {
 
     /// As [`hierarchy`](Self::hierarchy), together with the scene that it describes.
     pub fn with_hierarchy(&mut self) -> (&Self, &Hierarchy) {
-        self.hierarchy.update(self.root, &mut self.nodes, &mut self.cores, &mut self.stale);
+        self.hierarchy.update(self.root, &self.nodes, &self.cores);
         (self, &self.hierarchy)
     }
 

@@ -1,6 +1,6 @@
 //! Edits of the tree: add, remove, reparent; and what every node has: name, mask, visibility.
 
-use glam::DAffine3;
+use glam::{DAffine3, DVec3};
 
 use super::changes::Change;
 use super::node::Node;
@@ -19,7 +19,7 @@ impl Scene {
         let node = self.nodes.insert(Node::new(core));
         self.link_user(node, core);
         self.link_child(node, parent);
-        self.stale.mark_structure();
+        self.hierarchy.structure_changed();
         self.record(node, Change::ADDED);
         Ok(node)
     }
@@ -35,7 +35,7 @@ impl Scene {
             return Err(Error::Root { attempt: "removed" });
         }
         self.unlink_child(node);
-        self.stale.mark_structure();
+        self.hierarchy.structure_changed();
 
         // Bottom up, so that a node's links are there as long as they are needed.
         let mut current = self.first_leaf(node);
@@ -79,7 +79,7 @@ impl Scene {
         if self.nodes[node].parent != Some(parent) {
             self.unlink_child(node);
             self.link_child(node, parent);
-            self.stale.mark_structure();
+            self.hierarchy.structure_changed();
             self.record(node, Change::PARENT);
         }
         match local {
@@ -141,7 +141,7 @@ impl Scene {
     pub fn set_mask(&mut self, node: NodeKey, mask: u32) -> Result<()> {
         if self.node(node)?.mask != mask {
             self.nodes[node].mask = mask;
-            self.stale.mark_node(node, &mut self.nodes);
+            self.node_changed(node);
             self.record(node, Change::MASK);
         }
         Ok(())
@@ -162,7 +162,7 @@ impl Scene {
     pub fn set_visible(&mut self, node: NodeKey, visible: bool) -> Result<()> {
         if self.node(node)?.visible != visible {
             self.nodes[node].visible = visible;
-            self.stale.mark_node(node, &mut self.nodes);
+            self.node_changed(node);
             self.record(node, Change::VISIBILITY);
         }
         Ok(())
@@ -195,15 +195,18 @@ impl Scene {
     }
 }
 
-/// Whether `parent * local` is `world` up to rounding.
+/// Whether `parent * local` is `world` up to rounding: each axis relative to its own length, the place relative to its distance.
 fn keeps_world(parent: &DAffine3, local: &DAffine3, world: &DAffine3) -> bool {
     /// Far above rounding, far below what can be seen.
     const TOLERANCE: f64 = 1e-6;
 
     let result = *parent * *local;
-    let largest = |m: &glam::DMat3| m.to_cols_array().into_iter().fold(0.0, |a: f64, b| a.max(b.abs()));
-    let turned = largest(&(result.matrix3 - world.matrix3)) <= TOLERANCE * largest(&world.matrix3);
+    let close = |a: DVec3, b: DVec3, extent: f64| (a - b).abs().max_element() <= TOLERANCE * extent;
+    let axis_kept = |i| {
+        let axis = world.matrix3.col(i);
+        close(result.matrix3.col(i), axis, axis.abs().max_element())
+    };
     let extent = world.translation.abs().max_element().max(parent.translation.abs().max_element());
-    let moved = (result.translation - world.translation).abs().max_element() <= TOLERANCE * extent;
-    local.is_finite() && turned && moved
+    let finite = [local, world, &result].into_iter().all(DAffine3::is_finite);
+    finite && (0..3).all(axis_kept) && close(result.translation, world.translation, extent)
 }

@@ -13,9 +13,7 @@ pub use view::{Sky, View};
 use crate::compile::Compiler;
 use crate::graph::Scene;
 use crate::image::Image;
-#[cfg(feature = "gpu")]
-use crate::trace::gpu::GpuTracer;
-use crate::trace::{CpuTracer, DeviceInfo, EmulatedTracer, FrameRequest, Tracer};
+use crate::trace::{Cpu, DeviceInfo, Emulated, FrameRequest, Tracer};
 use crate::{Error, Result};
 
 /// Draws scenes by ray tracing.
@@ -77,12 +75,12 @@ impl Renderer {
     /// with it. [`DeviceChoice::Auto`] falls back to the CPU instead: see [`fallback`](Self::fallback).
     pub fn new(options: &RendererOptions) -> Result<Self> {
         let (tracer, fallback): (Box<dyn Tracer>, _) = match options.device {
-            DeviceChoice::Cpu => (Box::new(CpuTracer::new()), None),
-            DeviceChoice::Emulated => (Box::new(EmulatedTracer::new()), None),
+            DeviceChoice::Cpu => (Box::new(Cpu::default()), None),
+            DeviceChoice::Emulated => (Box::new(Emulated::default()), None),
             DeviceChoice::Gpu => (open_gpu(true)?, None),
             DeviceChoice::Auto => match open_gpu(false) {
                 Ok(gpu) => (gpu, None),
-                Err(reason) => (Box::new(CpuTracer::new()), Some(reason.to_string())),
+                Err(reason) => (Box::new(Cpu::default()), Some(reason.to_string())),
             },
         };
         Ok(Self { compiler: Compiler::new(), tracer, fallback })
@@ -169,12 +167,6 @@ fn check(view: &View) -> Result<()> {
     Ok(())
 }
 
-#[cfg(feature = "gpu")]
-fn open_gpu(allow_software: bool) -> Result<Box<dyn Tracer>> {
-    Ok(Box::new(GpuTracer::new(allow_software)?))
-}
-
-#[cfg(not(feature = "gpu"))]
 fn open_gpu(_allow_software: bool) -> Result<Box<dyn Tracer>> {
     Err(Error::NoGpu { reason: "Ropewalk was built without its `gpu` feature".to_owned() })
 }

@@ -73,8 +73,11 @@ impl View {
     /// None in a valid scene.
     pub fn framing(scene: &Scene, width: u32, height: u32) -> Result<Self> {
         let bounds = scene.world_bounds(scene.root())?;
-        let (center, radius) =
-            if bounds.is_empty() { (DVec3::ZERO, 1.0) } else { (bounds.center(), bounds.radius().max(f64::MIN_POSITIVE)) };
+        let (center, radius) = if bounds.is_empty() {
+            (DVec3::ZERO, 1.0)
+        } else {
+            (bounds.center(), bounds.radius().max(f64::MIN_POSITIVE))
+        };
         let camera = Camera::default();
         // The sphere around the scene touches the edges of the narrower field of view.
         let half_fov = f64::from(std::f32::consts::FRAC_PI_8);

@@ -39,6 +39,29 @@ impl Canonical {
         Self { tlas_nodes: bytes(&tlas_nodes), instances, lights: bytes(lights) }
     }
 
+    /// The first part that differs, by name; `None` if nothing does.
+    pub fn difference(&self, other: &Self) -> Option<String> {
+        if self.tlas_nodes != other.tlas_nodes {
+            return Some("tlas_nodes".to_owned());
+        }
+        if self.lights != other.lights {
+            return Some("lights".to_owned());
+        }
+        if self.instances.len() != other.instances.len() {
+            return Some(format!("{} or {} instances", self.instances.len(), other.instances.len()));
+        }
+        let (i, (a, b)) = self.instances.iter().zip(&other.instances).enumerate().find(|(_, (a, b))| a != b)?;
+        let part = match () {
+            () if a.record != b.record => "record",
+            () if a.blas_nodes != b.blas_nodes => "blas_nodes",
+            () if a.triangles != b.triangles => "triangles",
+            () if a.streams != b.streams => "streams",
+            () if a.material != b.material => "material",
+            () => "textures",
+        };
+        Some(format!("instance {i}: {part}"))
+    }
+
     /// How many instances can be reached.
     pub fn instance_count(&self) -> usize {
         self.instances.len()
@@ -47,7 +70,8 @@ impl Canonical {
 
 fn canonical_instance(arrays: &DeviceArrays, instance: &Instance) -> CanonicalInstance {
     let nodes = reachable(&arrays.blas_nodes[instance.first_node as usize..]);
-    let triangle_count = nodes.iter().map(|n| (n.primitives.first() + n.primitives.count()) as usize).max().unwrap_or(0);
+    let triangle_count =
+        nodes.iter().map(|n| (n.primitives.first() + n.primitives.count()) as usize).max().unwrap_or(0);
     let triangles = &arrays.triangles[instance.first_triangle as usize..][..triangle_count];
     let material = arrays.materials[instance.material as usize];
     let texture_indices = [
@@ -96,7 +120,8 @@ fn canonical_streams(arrays: &DeviceArrays, streams: &Streams, triangles: &[Tria
     let vertex = |triangle: &Triangle, corner: u32| {
         arrays.indices[(streams.first_index + 3 * triangle.primitive + corner) as usize]
     };
-    let vertices: Vec<u32> = triangles.iter().flat_map(|t| (0..3).map(move |c| (t, c))).map(|(t, c)| vertex(t, c)).collect();
+    let vertices: Vec<u32> =
+        triangles.iter().flat_map(|t| (0..3).map(move |c| (t, c))).map(|(t, c)| vertex(t, c)).collect();
     let gather = |first: u32, stride: u32, array: &[u32]| -> Vec<u8> {
         if first == NONE {
             return Vec::new();
