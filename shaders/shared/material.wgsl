@@ -10,8 +10,12 @@ struct Place {
 
 fn place_on(instance: Instance, triangle: Triangle, u: f32, v: f32) -> Place {
     let streams = geometries[instance.geometry];
-    let first = streams.first_index + 3u * triangle.primitive;
-    let vertices = vec3<u32>(indices[first], indices[first + 1u], indices[first + 2u]);
+    // A geometry without streams has no indices either.
+    var vertices = vec3<u32>(0u);
+    if streams.first_index != NONE {
+        let first = streams.first_index + 3u * triangle.primitive;
+        vertices = vec3<u32>(indices[first], indices[first + 1u], indices[first + 2u]);
+    }
     return Place(streams, vertices, vec3<f32>((1.0 - u) - v, u, v));
 }
 

@@ -19,8 +19,12 @@ pub(crate) struct Place {
 
 pub(crate) fn place_on(scene: &KernelScene<'_>, instance: &Instance, triangle: &Triangle, u: f32, v: f32) -> Place {
     let streams = scene.geometries[instance.geometry as usize];
-    let first = (streams.first_index + 3 * triangle.primitive) as usize;
-    let vertices = [scene.indices[first], scene.indices[first + 1], scene.indices[first + 2]];
+    // A geometry without streams has no indices either.
+    let mut vertices = [0; 3];
+    if streams.first_index != NONE {
+        let first = (streams.first_index + 3 * triangle.primitive) as usize;
+        vertices = [scene.indices[first], scene.indices[first + 1], scene.indices[first + 2]];
+    }
     Place { streams, vertices, weights: Vec3::new((1.0 - u) - v, u, v) }
 }
 
