@@ -59,7 +59,7 @@ impl Tracer for Cpu {
         Ok(())
     }
 
-    fn read(&mut self) -> Result<Image> {
+    fn read(&self) -> Result<Image> {
         let mut frame = Planes::new(self.width, self.height, self.aovs)?;
         for y in 0..self.height {
             for x in 0..self.width {

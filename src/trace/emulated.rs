@@ -45,7 +45,7 @@ impl Tracer for Emulated {
         Ok(())
     }
 
-    fn read(&mut self) -> Result<Image> {
+    fn read(&self) -> Result<Image> {
         Ok(self.frame.clone().into_image())
     }
 
