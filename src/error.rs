@@ -40,6 +40,22 @@ pub enum Error {
         /// The kind of core that the node has.
         found: &'static str,
     },
+    /// A node's world transform has no inverse, so nothing can keep its place below it.
+    #[error(
+        "the world transform of {node} cannot be inverted: some scale at it or above it is 0, or too small or large"
+    )]
+    Singular {
+        /// The node.
+        node: Object,
+    },
+    /// A scene contradicts itself: a defect of Ropewalk, which only `Scene::validate` looks for.
+    #[error("internal defect: {object}: {what}")]
+    Defect {
+        /// The object that is wrong.
+        object: Object,
+        /// What is wrong with it.
+        what: &'static str,
+    },
     /// A value that must be a number within a range is not.
     #[error("{what} is {value}, but must be {expected}")]
     OutOfRange {
@@ -113,6 +129,12 @@ pub enum Error {
         during: &'static str,
         /// What the driver said.
         message: String,
+    },
+    /// A file name does not say which image format to write.
+    #[error("{path}: the ending of the name is not that of an image format Ropewalk writes (.png or .exr)")]
+    ImageFormat {
+        /// The file.
+        path: PathBuf,
     },
     /// An image could not be encoded.
     #[error("{path}: {source}")]

@@ -80,6 +80,18 @@ impl Material {
     pub fn glass(ior: f32) -> Self {
         Self { roughness: 0.0, transmission: 1.0, ior, ..Self::default() }
     }
+
+    /// The textures it refers to, in the order of its fields; one that is used twice comes twice.
+    pub fn textures(&self) -> impl Iterator<Item = &TextureRef> {
+        let all = [
+            &self.base_color_texture,
+            &self.metallic_roughness_texture,
+            &self.emissive_texture,
+            &self.transmission_texture,
+            &self.normal_texture,
+        ];
+        all.into_iter().flatten()
+    }
 }
 
 /// What the alpha of a material's base colour means.

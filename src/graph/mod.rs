@@ -1,15 +1,36 @@
 //! The retained scene graph: nodes, cores, the change log.
+//!
+//! [`Scene`] owns everything. Its edits and getters stand in files of their own: `structure` (the tree), `cores`, `assets`, `query`.
 
+mod assets;
+mod bit_set;
 mod camera;
+mod changes;
+mod core;
+mod cores;
 mod geometry;
+mod hierarchy;
 mod key;
 mod light;
+mod links;
 mod material;
+mod node;
+mod query;
+mod ranges;
+mod scene;
+mod structure;
 mod transform;
+mod validate;
 
 pub use camera::Camera;
+pub use changes::{Change, Changes, Cursor};
+pub use core::{Core, CoreSource};
 pub use geometry::Geometry;
+pub use hierarchy::Hierarchy;
 pub use key::{CoreKey, GeometryKey, MaterialKey, NodeKey, Object, TextureKey};
 pub use light::{Light, LightKind};
 pub use material::{AlphaMode, Filter, Material, Sampler, Texture, TextureRef, Wrap};
+pub use node::Keep;
+pub use query::{Ancestors, Children, Descendants, Users};
+pub use scene::{Scene, SceneId};
 pub use transform::Transform;

@@ -1,0 +1,263 @@
+//! Geometries, materials and textures: added, replaced, and freed when their last user goes.
+
+use super::changes::Change;
+use super::ranges::{check_material, check_texture};
+use super::scene::stale;
+use super::{Core, Geometry, GeometryKey, Material, MaterialKey, Scene, Texture, TextureKey};
+use crate::Result;
+use crate::math::{Aabb, Bounds};
+
+/// An asset with the number of its users: cores that refer to a geometry or a material, references in materials to a texture.
+#[derive(Debug)]
+pub(super) struct Used<T> {
+    pub(super) value: T,
+    pub(super) user_count: usize,
+}
+
+impl<T> Used<T> {
+    fn new(value: T) -> Self {
+        Self { value, user_count: 0 }
+    }
+}
+
+/// A geometry with what is known of it.
+#[derive(Debug)]
+pub(super) struct StoredGeometry {
+    pub(super) geometry: Geometry,
+    /// How often it was replaced.
+    version: u64,
+    /// The box around its triangles; vertices that none of them uses do not count.
+    pub(super) bounds: Bounds,
+}
+
+impl StoredGeometry {
+    /// Checks and measures a geometry.
+    fn new(geometry: Geometry, version: u64) -> Result<Self> {
+        geometry.validate()?;
+        let corners = geometry.indices.iter().flatten().map(|&vertex| geometry.positions[vertex as usize]);
+        let bounds = Aabb::from_points(corners).into();
+        Ok(Self { geometry, version, bounds })
+    }
+}
+
+/// Geometries, materials, textures.
+impl Scene {
+    /// Adds a geometry that no core uses yet. O(vertices + triangles), to check it.
+    ///
+    /// # Errors
+    /// [`Error::InvalidGeometry`](crate::Error::InvalidGeometry) as [`Geometry::validate`].
+    pub fn add_geometry(&mut self, geometry: Geometry) -> Result<GeometryKey> {
+        let key = self.geometries.insert(Used::new(StoredGeometry::new(geometry, 0)?));
+        self.record(key, Change::ADDED);
+        Ok(key)
+    }
+
+    /// The geometry that a key names.
+    ///
+    /// # Errors
+    /// [`Error::StaleKey`](crate::Error::StaleKey).
+    pub fn geometry(&self, key: GeometryKey) -> Result<&Geometry> {
+        Ok(&self.stored_geometry(key)?.geometry)
+    }
+
+    /// How often the geometry was replaced: what is derived from one version of one key stays right.
+    ///
+    /// # Errors
+    /// [`Error::StaleKey`](crate::Error::StaleKey).
+    pub fn geometry_version(&self, key: GeometryKey) -> Result<u64> {
+        Ok(self.stored_geometry(key)?.version)
+    }
+
+    /// The box around the triangles of a geometry, in its local space; empty without any. O(1).
+    ///
+    /// # Errors
+    /// [`Error::StaleKey`](crate::Error::StaleKey).
+    pub fn geometry_bounds(&self, key: GeometryKey) -> Result<Bounds> {
+        Ok(self.stored_geometry(key)?.bounds)
+    }
+
+    /// All geometries, in no particular order.
+    pub fn geometries(&self) -> impl Iterator<Item = (GeometryKey, &Geometry)> {
+        self.geometries.iter().map(|(key, used)| (key, &used.value.geometry))
+    }
+
+    /// Replaces a geometry wherever it is used. O(vertices + triangles), to check it.
+    ///
+    /// # Errors
+    /// [`Error::StaleKey`](crate::Error::StaleKey); [`Error::InvalidGeometry`](crate::Error::InvalidGeometry) as
+    /// [`Geometry::validate`].
+    pub fn set_geometry(&mut self, key: GeometryKey, geometry: Geometry) -> Result<()> {
+        let old = self.stored_geometry(key)?;
+        if old.geometry != geometry {
+            self.geometries[key].value = StoredGeometry::new(geometry, old.version + 1)?;
+            self.record(key, Change::DATA);
+        }
+        Ok(())
+    }
+
+    /// Adds a material that no core uses yet. O(1).
+    ///
+    /// # Errors
+    /// [`Error::StaleKey`](crate::Error::StaleKey) for a texture; [`Error::OutOfRange`](crate::Error::OutOfRange) for a number outside the range that
+    /// [`Material`] states.
+    pub fn add_material(&mut self, material: Material) -> Result<MaterialKey> {
+        self.check_material(&material)?;
+        self.acquire_textures(&material);
+        let key = self.materials.insert(Used::new(material));
+        self.record(key, Change::ADDED);
+        Ok(key)
+    }
+
+    /// The material that a key names.
+    ///
+    /// # Errors
+    /// [`Error::StaleKey`](crate::Error::StaleKey).
+    pub fn material(&self, key: MaterialKey) -> Result<&Material> {
+        self.materials.get(key).map(|used| &used.value).ok_or_else(|| stale(key))
+    }
+
+    /// All materials, in no particular order.
+    pub fn materials(&self) -> impl Iterator<Item = (MaterialKey, &Material)> {
+        self.materials.iter().map(|(key, used)| (key, &used.value))
+    }
+
+    /// Replaces a material wherever it is used. O(1).
+    ///
+    /// # Errors
+    /// As [`add_material`](Self::add_material), and [`Error::StaleKey`](crate::Error::StaleKey) for the material.
+    pub fn set_material(&mut self, key: MaterialKey, material: Material) -> Result<()> {
+        if *self.material(key)? != material {
+            self.check_material(&material)?;
+            self.acquire_textures(&material);
+            let old = std::mem::replace(&mut self.materials[key].value, material);
+            self.record(key, Change::DATA);
+            self.release_textures(&old);
+        }
+        Ok(())
+    }
+
+    /// Adds a texture that no material uses yet. O(1).
+    ///
+    /// # Errors
+    /// [`Error::OutOfRange`](crate::Error::OutOfRange) if its size is 0 or not that of its texels.
+    pub fn add_texture(&mut self, texture: Texture) -> Result<TextureKey> {
+        check_texture(&texture)?;
+        let key = self.textures.insert(Used::new(texture));
+        self.record(key, Change::ADDED);
+        Ok(key)
+    }
+
+    /// The texture that a key names.
+    ///
+    /// # Errors
+    /// [`Error::StaleKey`](crate::Error::StaleKey).
+    pub fn texture(&self, key: TextureKey) -> Result<&Texture> {
+        self.textures.get(key).map(|used| &used.value).ok_or_else(|| stale(key))
+    }
+
+    /// All textures, in no particular order.
+    pub fn textures(&self) -> impl Iterator<Item = (TextureKey, &Texture)> {
+        self.textures.iter().map(|(key, used)| (key, &used.value))
+    }
+
+    /// Replaces a texture wherever it is used. O(texels), to compare.
+    ///
+    /// # Errors
+    /// As [`add_texture`](Self::add_texture), and [`Error::StaleKey`](crate::Error::StaleKey) for the texture.
+    pub fn set_texture(&mut self, key: TextureKey, texture: Texture) -> Result<()> {
+        if *self.texture(key)? != texture {
+            check_texture(&texture)?;
+            self.textures[key].value = texture;
+            self.record(key, Change::DATA);
+        }
+        Ok(())
+    }
+
+    /// Frees the cores, geometries, materials and textures that nothing uses: those that were never used. O(all of them).
+    pub fn remove_unused(&mut self) {
+        // Users first: freeing a core may free its geometry.
+        for key in keys_where(&self.cores, |slot| slot.user_count == 0) {
+            self.release_core_if_unused(key);
+        }
+        for key in keys_where(&self.geometries, |used| used.user_count == 0) {
+            self.free_geometry(key);
+        }
+        for key in keys_where(&self.materials, |used| used.user_count == 0) {
+            self.free_material(key);
+        }
+        for key in keys_where(&self.textures, |used| used.user_count == 0) {
+            self.free_texture(key);
+        }
+    }
+
+    /// Counts a core's use of what it refers to.
+    pub(super) fn acquire_assets(&mut self, core: &Core) {
+        if let Core::Geometry { geometry, material } = *core {
+            self.geometries[geometry].user_count += 1;
+            self.materials[material].user_count += 1;
+        }
+    }
+
+    /// Ends a core's use of what it refers to, and frees what nobody else uses.
+    pub(super) fn release_assets(&mut self, core: &Core) {
+        let Core::Geometry { geometry, material } = *core else { return };
+        if release(&mut self.geometries[geometry]) {
+            self.free_geometry(geometry);
+        }
+        if release(&mut self.materials[material]) {
+            self.free_material(material);
+        }
+    }
+
+    fn stored_geometry(&self, key: GeometryKey) -> Result<&StoredGeometry> {
+        self.geometries.get(key).map(|used| &used.value).ok_or_else(|| stale(key))
+    }
+
+    fn acquire_textures(&mut self, material: &Material) {
+        for texture in material.textures() {
+            self.textures[texture.texture].user_count += 1;
+        }
+    }
+
+    fn release_textures(&mut self, material: &Material) {
+        for texture in material.textures() {
+            if release(&mut self.textures[texture.texture]) {
+                self.free_texture(texture.texture);
+            }
+        }
+    }
+
+    fn free_geometry(&mut self, key: GeometryKey) {
+        self.geometries.remove(key);
+        self.record(key, Change::REMOVED);
+    }
+
+    fn free_material(&mut self, key: MaterialKey) {
+        if let Some(used) = self.materials.remove(key) {
+            self.record(key, Change::REMOVED);
+            self.release_textures(&used.value);
+        }
+    }
+
+    fn free_texture(&mut self, key: TextureKey) {
+        self.textures.remove(key);
+        self.record(key, Change::REMOVED);
+    }
+
+    fn check_material(&self, material: &Material) -> Result<()> {
+        for texture in material.textures() {
+            self.texture(texture.texture)?;
+        }
+        check_material(material)
+    }
+}
+
+/// Ends one use; whether it was the last.
+fn release<T>(used: &mut Used<T>) -> bool {
+    used.user_count -= 1;
+    used.user_count == 0
+}
+
+fn keys_where<K: slotmap::Key, V>(map: &slotmap::SlotMap<K, V>, condition: impl Fn(&V) -> bool) -> Vec<K> {
+    map.iter().filter(|(_, value)| condition(value)).map(|(key, _)| key).collect()
+}

@@ -1,0 +1,184 @@
+//! Edits of cores, shared or not.
+
+use super::changes::Change;
+use super::core::CoreSlot;
+use super::ranges::check_core;
+use super::scene::stale;
+use super::{Core, CoreKey, CoreSource, NodeKey, Scene, Transform};
+use crate::{Error, Result};
+
+/// Cores.
+impl Scene {
+    /// Adds a core that no node uses yet. It goes when its last user goes, not before its first came. O(1).
+    ///
+    /// # Errors
+    /// [`Error::StaleKey`] for what it refers to; [`Error::OutOfRange`] for a bad number in it.
+    pub fn add_core(&mut self, core: Core) -> Result<CoreKey> {
+        self.obtain_core(core.into())
+    }
+
+    /// What the node is.
+    ///
+    /// # Errors
+    /// [`Error::StaleKey`].
+    pub fn core(&self, node: NodeKey) -> Result<&Core> {
+        Ok(&self.cores[self.node(node)?.core].core)
+    }
+
+    /// The name of the node's core: give it to [`add`](Self::add) to share the core with another node.
+    ///
+    /// # Errors
+    /// [`Error::StaleKey`].
+    pub fn core_key(&self, node: NodeKey) -> Result<CoreKey> {
+        Ok(self.node(node)?.core)
+    }
+
+    /// The core that a key names.
+    ///
+    /// # Errors
+    /// [`Error::StaleKey`].
+    pub fn core_of(&self, key: CoreKey) -> Result<&Core> {
+        Ok(&self.core_slot(key)?.core)
+    }
+
+    /// All cores, in no particular order.
+    pub fn cores(&self) -> impl Iterator<Item = (CoreKey, &Core)> {
+        self.cores.iter().map(|(key, slot)| (key, &slot.core))
+    }
+
+    /// Gives one node another core; other users of its old one keep that. O(1).
+    ///
+    /// The same key, or a new core equal to one that the node has for itself alone, changes nothing.
+    ///
+    /// # Errors
+    /// [`Error::StaleKey`] for the node or what the core refers to; [`Error::OutOfRange`] for a bad number in a new core;
+    /// [`Error::Root`] for the root and a core other than a group.
+    pub fn set_core(&mut self, node: NodeKey, core: impl Into<CoreSource>) -> Result<()> {
+        let old = self.node(node)?.core;
+        let source = core.into();
+        if node == self.root {
+            self.check_root_core(&source)?;
+        }
+        match &source {
+            CoreSource::Shared(key) if *key == old => return Ok(()),
+            CoreSource::New(core) if self.cores[old].user_count == 1 && self.cores[old].core == *core => return Ok(()),
+            _ => {}
+        }
+        let new = self.obtain_core(source)?;
+        self.unlink_user(node, old);
+        self.link_user(node, new);
+        self.node_changed(node);
+        self.record(node, Change::CORE);
+        self.release_core_if_unused(old);
+        Ok(())
+    }
+
+    /// Changes a core, and with it every node that uses it. O(1), or O(users) if its transform changes.
+    ///
+    /// # Errors
+    /// [`Error::StaleKey`] for the core or what it is to refer to; [`Error::OutOfRange`] for a bad number;
+    /// [`Error::Root`] if the root uses it and it would no longer be a group.
+    pub fn edit_core(&mut self, key: CoreKey, core: Core) -> Result<()> {
+        if self.core_slot(key)?.core == core {
+            return Ok(());
+        }
+        if self.nodes[self.root].core == key {
+            self.check_root_core(&CoreSource::New(core.clone()))?;
+        }
+        self.check_core(&core)?;
+        self.acquire_assets(&core);
+        let old = std::mem::replace(&mut self.cores[key].core, core);
+        let moves = |core: &Core| matches!(core, Core::Transform(_));
+        let change = match (moves(&old), moves(&self.cores[key].core)) {
+            (true, true) => Change::TRANSFORM,
+            (true, false) | (false, true) => Change::TRANSFORM | Change::DATA,
+            (false, false) => Change::DATA,
+        };
+        if change.contains(Change::TRANSFORM) {
+            self.users_moved(key);
+        }
+        self.record(key, change);
+        self.release_assets(&old);
+        Ok(())
+    }
+
+    /// The transform of a transform node into its parent's space.
+    ///
+    /// # Errors
+    /// [`Error::StaleKey`]; [`Error::WrongCore`] if the node has no transform: move its parent, or put a transform node above it.
+    pub fn local(&self, node: NodeKey) -> Result<Transform> {
+        match *self.core(node)? {
+            Core::Transform(transform) => Ok(transform),
+            ref core => Err(Error::WrongCore { node: node.into(), expected: "transform", found: core.kind() }),
+        }
+    }
+
+    /// Moves a transform node with everything below it, and with it all nodes that share its core. O(nodes that share it).
+    ///
+    /// # Errors
+    /// As [`local`](Self::local); [`Error::OutOfRange`] if some number is not finite.
+    pub fn set_local(&mut self, node: NodeKey, transform: impl Into<Transform>) -> Result<()> {
+        self.local(node)?;
+        self.edit_core(self.nodes[node].core, Core::Transform(transform.into()))
+    }
+
+    /// The key of a source, which exists afterwards.
+    pub(super) fn obtain_core(&mut self, source: CoreSource) -> Result<CoreKey> {
+        match source {
+            CoreSource::Shared(key) => self.core_slot(key).map(|_| key),
+            CoreSource::New(core) => {
+                self.check_core(&core)?;
+                self.acquire_assets(&core);
+                let key = self.cores.insert(CoreSlot::new(core));
+                self.record(key, Change::ADDED);
+                Ok(key)
+            }
+        }
+    }
+
+    /// Frees a core that lost a user, if it was the last.
+    pub(super) fn release_core_if_unused(&mut self, key: CoreKey) {
+        if self.cores[key].user_count == 0
+            && let Some(slot) = self.cores.remove(key)
+        {
+            self.record(key, Change::REMOVED);
+            self.release_assets(&slot.core);
+        }
+    }
+
+    /// Tells the hierarchy that a node's own transform, mask or visibility is another.
+    pub(super) fn node_changed(&mut self, key: NodeKey) {
+        let node = &self.nodes[key];
+        self.hierarchy.node_changed(key, node, &self.cores[node.core].core);
+    }
+
+    /// Tells the hierarchy that the transform of a core is another.
+    fn users_moved(&mut self, key: CoreKey) {
+        let slot = &self.cores[key];
+        let mut next = slot.first_user;
+        while let Some(user) = next {
+            let node = &self.nodes[user];
+            self.hierarchy.node_changed(user, node, &slot.core);
+            next = node.next_user;
+        }
+    }
+
+    fn check_root_core(&self, source: &CoreSource) -> Result<()> {
+        let core = match source {
+            CoreSource::New(core) => core,
+            CoreSource::Shared(key) => self.core_of(*key)?,
+        };
+        match core {
+            Core::Group => Ok(()),
+            _ => Err(Error::Root { attempt: "given a core other than a group" }),
+        }
+    }
+
+    fn check_core(&self, core: &Core) -> Result<()> {
+        if let Core::Geometry { geometry, material } = *core {
+            self.geometries.get(geometry).ok_or_else(|| stale(geometry))?;
+            self.materials.get(material).ok_or_else(|| stale(material))?;
+        }
+        check_core(core)
+    }
+}

@@ -1,0 +1,213 @@
+//! The scene: owner of all nodes, cores, geometries, materials and textures.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use slotmap::SlotMap;
+
+use super::assets::{StoredGeometry, Used};
+use super::changes::{Change, ChangeLog, Changes, Cursor};
+use super::core::CoreSlot;
+use super::hierarchy::Hierarchy;
+use super::node::Node;
+use super::{Core, CoreKey, GeometryKey, Material, MaterialKey, NodeKey, Object, Texture, TextureKey};
+use crate::{Error, Result};
+
+/// A retained scene graph.
+///
+/// A scene is a tree of nodes below one root. Each node has one parent, ordered children, one [`Core`] that says what it is, a name,
+/// a traversal mask and a visibility. Cores refer to geometries and materials, materials to textures; all of these can be
+/// shared, and live as long as somebody uses them. One that was never used stays until it has been used and released,
+/// or until [`remove_unused`](Self::remove_unused).
+///
+/// Everything is named by keys that stay valid until the object goes. A stale key is [`Error::StaleKey`]. A call that returns an
+/// error has left the scene as it was. There is nothing to commit: every getter answers from the current state.
+///
+/// ```
+/// use glam::{DVec3, Vec3};
+/// use ropewalk::{Core, Geometry, Material, Scene, Transform};
+///
+/// let mut scene = Scene::new();
+/// let geometry = scene.add_geometry(Geometry::new([Vec3::ZERO, Vec3::X, Vec3::Y], [[0, 1, 2]]))?;
+/// let material = scene.add_material(Material::default())?;
+///
+/// // An arm that turns a hand.
+/// let arm = scene.add(scene.root(), Transform::from_translation(DVec3::X))?;
+/// let hand = scene.add(arm, Core::Geometry { geometry, material })?;
+/// scene.set_name(hand, "hand")?;
+///
+/// // A second hand shares the core of the first: this is instancing.
+/// let core = scene.core_key(hand)?;
+/// let other = scene.add(scene.root(), core)?;
+/// assert_eq!(scene.users(core)?.count(), 2);
+/// assert_eq!((scene.triangle_count(), scene.instanced_triangle_count()), (1, 2));
+///
+/// // Reads are never stale.
+/// scene.set_local(arm, Transform::from_translation(DVec3::new(5.0, 0.0, 0.0)))?;
+/// assert_eq!(scene.world(hand)?.translation, DVec3::new(5.0, 0.0, 0.0));
+///
+/// // What nobody uses any more is freed.
+/// scene.remove(arm)?;
+/// scene.remove(other)?;
+/// assert!(scene.geometry(geometry).is_err());
+/// # Ok::<(), ropewalk::Error>(())
+/// ```
+#[derive(Debug)]
+pub struct Scene {
+    id: SceneId,
+    pub(super) root: NodeKey,
+    pub(super) nodes: SlotMap<NodeKey, Node>,
+    pub(super) cores: SlotMap<CoreKey, CoreSlot>,
+    pub(super) geometries: SlotMap<GeometryKey, Used<StoredGeometry>>,
+    pub(super) materials: SlotMap<MaterialKey, Used<Material>>,
+    pub(super) textures: SlotMap<TextureKey, Used<Texture>>,
+    pub(super) log: ChangeLog,
+    pub(super) hierarchy: Hierarchy,
+    revision: u64,
+}
+
+/// Tells the scenes of one process apart.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct SceneId(u64);
+
+impl Default for Scene {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// The whole scene.
+impl Scene {
+    /// An empty scene: a root node with a group core.
+    pub fn new() -> Self {
+        static NEXT_ID: AtomicU64 = AtomicU64::new(0);
+
+        let (mut nodes, mut cores) = (SlotMap::with_key(), SlotMap::with_key());
+        let core = cores.insert(CoreSlot::new(Core::Group));
+        let mut scene = Self {
+            id: SceneId(NEXT_ID.fetch_add(1, Ordering::Relaxed)),
+            root: nodes.insert(Node::new(core)),
+            nodes,
+            cores,
+            geometries: SlotMap::with_key(),
+            materials: SlotMap::with_key(),
+            textures: SlotMap::with_key(),
+            log: ChangeLog::default(),
+            hierarchy: Hierarchy::new(),
+            revision: 0,
+        };
+        scene.link_user(scene.root, core);
+        scene
+    }
+
+    /// Which scene this is: no two scenes of one process have the same.
+    pub fn id(&self) -> SceneId {
+        self.id
+    }
+
+    /// The node above all others. It has a group core and cannot be removed or moved.
+    pub fn root(&self) -> NodeKey {
+        self.root
+    }
+
+    /// Counts the changes made so far: where it is what it was, the scene is what it was.
+    pub fn revision(&self) -> u64 {
+        self.revision
+    }
+
+    /// Number of nodes, the root included. O(1).
+    pub fn node_count(&self) -> usize {
+        self.nodes.len()
+    }
+
+    /// Number of cores. O(1).
+    pub fn core_count(&self) -> usize {
+        self.cores.len()
+    }
+
+    /// Number of geometries. O(1).
+    pub fn geometry_count(&self) -> usize {
+        self.geometries.len()
+    }
+
+    /// Number of materials. O(1).
+    pub fn material_count(&self) -> usize {
+        self.materials.len()
+    }
+
+    /// Number of textures. O(1).
+    pub fn texture_count(&self) -> usize {
+        self.textures.len()
+    }
+
+    /// Triangles stored: those of each geometry once. O(geometries).
+    pub fn triangle_count(&self) -> u64 {
+        self.geometries.values().map(|used| used.value.geometry.indices.len() as u64).sum()
+    }
+
+    /// Triangles seen: those of each geometry once for every node that shows it, visible or not. O(cores).
+    pub fn instanced_triangle_count(&self) -> u64 {
+        let triangles = |slot: &CoreSlot| match slot.core {
+            Core::Geometry { geometry, .. } => self.geometries[geometry].value.geometry.indices.len() as u64,
+            _ => 0,
+        };
+        self.cores.values().map(|slot| triangles(slot) * slot.user_count as u64).sum()
+    }
+
+    /// A cursor into the log of changes, for one consumer. Its first read gives [`Changes::Everything`]. Equal to `Cursor::default()`.
+    pub fn subscribe(&self) -> Cursor {
+        Cursor::default()
+    }
+
+    /// What has changed since the last read with this cursor, each object once; moves the cursor to now.
+    ///
+    /// A cursor that has not read from this scene before gets [`Changes::Everything`] and belongs to this scene from then on, so
+    /// that a consumer needs no care when it is given another scene. O(changes since), of which one object's many count once.
+    ///
+    /// ```
+    /// use ropewalk::{Change, Changes, Core, Object, Scene};
+    ///
+    /// let mut scene = Scene::new();
+    /// let mut cursor = scene.subscribe();
+    /// assert_eq!(scene.changes_since(&mut cursor), Changes::Everything);
+    ///
+    /// scene.set_name(scene.root(), "world")?;
+    /// scene.set_mask(scene.root(), 1)?;
+    /// let expected = vec![(Object::Node(scene.root()), Change::NAME | Change::MASK)];
+    /// assert_eq!(scene.changes_since(&mut cursor), Changes::Since(expected));
+    /// assert_eq!(scene.changes_since(&mut cursor), Changes::Since(vec![]));
+    /// # Ok::<(), ropewalk::Error>(())
+    /// ```
+    pub fn changes_since(&mut self, cursor: &mut Cursor) -> Changes {
+        self.log.read(self.id, cursor)
+    }
+
+    /// Brings the preorder arrays up to date and gives them out. O(1) where nothing changed, O(subtrees changed) after changes of
+    /// transforms, masks and visibility, O(nodes) after structural changes.
+    pub fn hierarchy(&mut self) -> &Hierarchy {
+        self.with_hierarchy().1
+    }
+
+    /// As [`hierarchy`](Self::hierarchy), together with the scene that it describes.
+    pub fn with_hierarchy(&mut self) -> (&Self, &Hierarchy) {
+        self.hierarchy.update(self.root, &self.nodes, &self.cores);
+        (self, &self.hierarchy)
+    }
+
+    /// Counts and logs one change.
+    pub(super) fn record(&mut self, object: impl Into<Object>, change: Change) {
+        self.revision += 1;
+        self.log.record(object.into(), change);
+    }
+
+    pub(super) fn node(&self, key: NodeKey) -> Result<&Node> {
+        self.nodes.get(key).ok_or_else(|| stale(key))
+    }
+
+    pub(super) fn core_slot(&self, key: CoreKey) -> Result<&CoreSlot> {
+        self.cores.get(key).ok_or_else(|| stale(key))
+    }
+}
+
+pub(super) fn stale(object: impl Into<Object>) -> Error {
+    Error::StaleKey { object: object.into() }
+}
