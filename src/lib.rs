@@ -3,6 +3,7 @@
 pub mod compile;
 pub mod device;
 mod error;
+pub mod gltf;
 pub mod graph;
 pub mod image;
 pub mod math;
