@@ -1,11 +1,13 @@
 //! Ropewalk: a retained scene graph that is ray traced.
 
+pub mod accel;
 pub mod compile;
 pub mod device;
 mod error;
 pub mod graph;
 pub mod image;
 pub mod math;
+pub mod render;
 pub mod trace;
 
 pub use error::{Error, Result};
@@ -15,3 +17,4 @@ pub use graph::{
     TextureRef, Transform, Wrap,
 };
 pub use math::{Aabb, Bounds};
+pub use render::{DeviceChoice, Frame, FrameReport, Renderer, RendererOptions, Sky, View};

@@ -1,5 +1,15 @@
 //! Executors of the device arrays.
 
+mod cpu;
+mod emulated;
+#[allow(dead_code, reason = "shading, not merged yet, uses the rest")]
+mod kernel;
+mod planes;
+pub mod shader;
+
+pub use cpu::Cpu;
+pub use emulated::Emulated;
+
 use serde::Serialize;
 
 use crate::Result;
@@ -23,7 +33,7 @@ pub trait Tracer {
     fn render(&mut self, arrays: &DeviceArrays, request: &FrameRequest) -> Result<()>;
 
     /// The last frame rendered.
-    fn read(&mut self) -> Result<Image>;
+    fn read(&self) -> Result<Image>;
 
     /// The closest hit of each ray, of instances that share a bit with `ray_mask`.
     fn closest_hits(&mut self, arrays: &DeviceArrays, rays: &[Ray], ray_mask: u32) -> Result<Vec<Hit>>;
