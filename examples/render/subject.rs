@@ -1,14 +1,14 @@
 //! What is rendered: the scene, and the cameras to see it through.
 
 use glam::{DAffine3, DMat3, DQuat, DVec3, Vec3};
-use ropewalk::{Camera, Core, Light, LightKind, NodeKey, Scene, Sky, Transform, View};
+use ropewalk::{Core, Light, LightKind, NodeKey, Scene, Sky, Transform, View};
 
 use crate::arguments::Arguments;
 use crate::builtin;
 
 /// A scene and how it is seen.
-pub struct Subject {
-    pub scene: Scene,
+pub(crate) struct Subject {
+    pub(crate) scene: Scene,
     /// The first view; a turntable goes around from there.
     view: View,
     /// What a turntable turns about.
@@ -17,7 +17,7 @@ pub struct Subject {
 
 impl Subject {
     /// Loads or makes what the arguments ask for.
-    pub fn load(arguments: &Arguments) -> Result<Self, String> {
+    pub(crate) fn load(arguments: &Arguments) -> Result<Self, String> {
         let mut scene = Scene::new();
         let sky = match &arguments.file {
             None => {
@@ -38,7 +38,7 @@ impl Subject {
     }
 
     /// The view of one of `frames` frames, counted from 0: the camera goes once around the middle of the scene.
-    pub fn view(&self, frame: u32, frames: u32) -> View {
+    pub(crate) fn view(&self, frame: u32, frames: u32) -> View {
         let angle = std::f64::consts::TAU * f64::from(frame) / f64::from(frames);
         let turned = DAffine3::from_mat3_translation(DMat3::from_quat(DQuat::from_rotation_y(angle)), self.center)
             * DAffine3::from_translation(-self.center);

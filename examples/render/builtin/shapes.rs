@@ -37,7 +37,7 @@ impl Mesh {
 }
 
 /// A sphere of radius 1 with `20 * 4^subdivisions` triangles: an icosahedron, each triangle cut in four.
-pub fn sphere(subdivisions: u32) -> Geometry {
+pub(crate) fn sphere(subdivisions: u32) -> Geometry {
     const GOLDEN: f32 = 1.618_034;
     let mut positions: Vec<Vec3> = [(1.0, GOLDEN), (-1.0, GOLDEN), (1.0, -GOLDEN), (-1.0, -GOLDEN)]
         .into_iter()
@@ -85,7 +85,7 @@ fn icosahedron_faces(positions: &[Vec3]) -> Vec<[u32; 3]> {
 }
 
 /// A box of these half extents; each face shows the whole texture, upright on the four sides.
-pub fn cuboid(half: Vec3) -> Geometry {
+pub(crate) fn cuboid(half: Vec3) -> Geometry {
     let mut mesh = Mesh::default();
     for (normal, up) in [
         (Vec3::X, Vec3::Y),
@@ -105,18 +105,17 @@ pub fn cuboid(half: Vec3) -> Geometry {
 }
 
 /// A square in the xz plane that faces up, with sides of `2 * half`, its texture repeated `repeats` times along each.
-pub fn floor(half: f32, repeats: f32) -> Geometry {
+pub(crate) fn floor(half: f32, repeats: f32) -> Geometry {
     let mut mesh = Mesh::default();
-    let corners = [(-1.0, 1.0), (1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)].map(|(x, z)| {
-        mesh.vertex(vec3(x, 0.0, z) * half, Vec3::Y, (vec2(x, z) * 0.5 + 0.5) * repeats)
-    });
+    let corners = [(-1.0, 1.0), (1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)]
+        .map(|(x, z)| mesh.vertex(vec3(x, 0.0, z) * half, Vec3::Y, (vec2(x, z) * 0.5 + 0.5) * repeats));
     mesh.quad(corners);
     mesh.finish()
 }
 
 /// What `profile`, pairs of radius and height from the bottom up, sweeps out around the y axis. Where the profile bends by more
 /// than 40 degrees there is an edge, elsewhere it is smooth. Each of `flutes` grooves takes `flute_depth` of the radius.
-pub fn lathe(profile: &[Vec2], segments: u32, flutes: u32, flute_depth: f32) -> Geometry {
+pub(crate) fn lathe(profile: &[Vec2], segments: u32, flutes: u32, flute_depth: f32) -> Geometry {
     let mut mesh = Mesh::default();
     let outward = |i: usize| (profile[i + 1] - profile[i]).perp().normalize_or_zero() * -1.0;
     for i in 0..profile.len() - 1 {
@@ -153,7 +152,7 @@ pub fn lathe(profile: &[Vec2], segments: u32, flutes: u32, flute_depth: f32) -> 
 
 /// A closed tube of this radius around a closed curve, `curve(t)` with t from 0 to 1. `side(t)` is any direction that is never
 /// parallel to the curve and comes back to itself; it says where the tube's seam runs.
-pub fn closed_tube(
+pub(crate) fn closed_tube(
     curve: impl Fn(f32) -> Vec3,
     side: impl Fn(f32) -> Vec3,
     radius: f32,
@@ -187,7 +186,7 @@ pub fn closed_tube(
 
 /// One strand of a rope laid of `strands` and tied into a trefoil knot: turned by `1 / strands` of the rope, it is the next. The
 /// knot is about 3 wide and 1 thick, its axis is z.
-pub fn trefoil_strand(strand: u32, strands: u32, rope_radius: f32) -> Geometry {
+pub(crate) fn trefoil_strand(strand: u32, strands: u32, rope_radius: f32) -> Geometry {
     /// How often a strand winds around the rope on its way through the knot: a whole number, so that it closes.
     const LAY: f32 = 31.0;
 
@@ -208,11 +207,5 @@ pub fn trefoil_strand(strand: u32, strands: u32, rope_radius: f32) -> Geometry {
     // Strands of this radius touch their neighbours.
     let touching = (PI / strands as f32).sin();
     let to_strand = rope_radius / (1.0 + touching);
-    closed_tube(
-        move |t| lay(t).0 + lay(t).1 * to_strand,
-        move |t| lay(t).1,
-        to_strand * touching,
-        1200,
-        14,
-    )
+    closed_tube(move |t| lay(t).0 + lay(t).1 * to_strand, move |t| lay(t).1, to_strand * touching, 1200, 14)
 }

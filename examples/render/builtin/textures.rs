@@ -5,7 +5,7 @@ use ropewalk::graph::Texture;
 use ropewalk::image::srgb_from_linear;
 
 /// Two by two marble slabs, light and dark in turn, with joints between them.
-pub fn marble_checker(size: u32) -> Texture {
+pub(crate) fn marble_checker(size: u32) -> Texture {
     from_fn(size, |p| {
         let slab = (p * 2.0).floor();
         let within = p * 2.0 - slab;
@@ -22,7 +22,7 @@ pub fn marble_checker(size: u32) -> Texture {
 }
 
 /// Pale marble with grey and rusty veins.
-pub fn marble(size: u32) -> Texture {
+pub(crate) fn marble(size: u32) -> Texture {
     from_fn(size, |p| {
         let (grey, rust) = (veins(p, 3), veins(p, 11));
         let white = Vec3::new(0.80, 0.77, 0.72).lerp(Vec3::new(0.40, 0.39, 0.40), grey);
@@ -31,7 +31,7 @@ pub fn marble(size: u32) -> Texture {
 }
 
 /// A texture of `size` by `size` texels whose linear colour at `p`, each coordinate in 0 to 1, is `color(p)`.
-pub fn from_fn(size: u32, color: impl Fn(Vec2) -> Vec3) -> Texture {
+pub(crate) fn from_fn(size: u32, color: impl Fn(Vec2) -> Vec3) -> Texture {
     let texel = |x: u32, y: u32| {
         let linear = color((vec2(x as f32, y as f32) + 0.5) / size as f32);
         let [r, g, b] = linear.to_array().map(|c| (srgb_from_linear(c) * 255.0 + 0.5) as u8);
