@@ -112,6 +112,8 @@ bitflags::bitflags! {
         const ALPHA_MASK = 4;
         /// `any_hit` must ask the material how much light passes (alpha mask, blend or transmission).
         const TRANSLUCENT = 8;
+        /// A transmissive surface that encloses nothing (its geometry is not closed): light passes without bending.
+        const THIN = 16;
     }
 }
 
@@ -120,6 +122,7 @@ bitflags::bitflags! {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
 pub struct Streams {
     /// Into `indices`, in `u32`s: the three vertices of triangle `primitive` are at `first_index + 3 * primitive`.
+    /// [`NONE`] for a geometry without any stream, which has nothing to look up.
     pub first_index: u32,
     /// Into `normals`, in `f32`s: three a vertex.
     pub first_normal: u32,

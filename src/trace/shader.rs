@@ -18,16 +18,25 @@ pub enum EntryPoint {
 }
 
 /// Files of every kernel: traversal, and what it asks of materials.
-const SHARED: [&str; 5] = [
+const SHARED: [&str; 6] = [
     include_str!("../../shaders/shared/types.wgsl"),
     include_str!("../../shaders/shared/math.wgsl"),
     include_str!("../../shaders/shared/intersect.wgsl"),
     include_str!("../../shaders/shared/traverse.wgsl"),
+    include_str!("../../shaders/shared/texture.wgsl"),
     include_str!("../../shaders/shared/material.wgsl"),
 ];
 
 /// Files of the kernels that render.
-const SHADING: [&str; 1] = [include_str!("../../shaders/shared/whitted.wgsl")];
+const SHADING: [&str; 7] = [
+    include_str!("../../shaders/shared/camera.wgsl"),
+    include_str!("../../shaders/shared/surface.wgsl"),
+    include_str!("../../shaders/shared/offset.wgsl"),
+    include_str!("../../shaders/shared/sky.wgsl"),
+    include_str!("../../shaders/shared/brdf.wgsl"),
+    include_str!("../../shaders/shared/light.wgsl"),
+    include_str!("../../shaders/shared/whitted.wgsl"),
+];
 
 impl EntryPoint {
     /// All of them.

@@ -60,7 +60,7 @@ pub(super) fn meets_box(ray: &SlabRay, t_min: f32, t_max: f32, node: &Node) -> b
 }
 
 /// 1 over the greatest power of two that is not above `value`.
-fn reciprocal_power_of_two(value: f32) -> f32 {
+pub(super) fn reciprocal_power_of_two(value: f32) -> f32 {
     let exponent = (value.to_bits() >> 23).min(253);
     f32::from_bits((254 - exponent) << 23)
 }

@@ -1,8 +1,15 @@
 //! The kernel in Rust, function for function as in `shaders/shared`: what the CPU executors run.
 
+mod brdf;
+mod camera;
 mod intersect;
+mod light;
 mod material;
 pub(crate) mod math;
+mod offset;
+mod sky;
+mod surface;
+mod texture;
 mod traverse;
 mod whitted;
 
