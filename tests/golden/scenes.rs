@@ -315,7 +315,7 @@ fn checkerboard(scene: &mut Scene, filter: Filter) -> Result<Material> {
 }
 
 fn stand_on_floor(scene: &mut Scene, color: Vec3) -> Result<()> {
-    put(scene, shapes::floor(20.0, 1.0), Material::diffuse(color), Transform::IDENTITY).map(|_| ())
+    put(scene, shapes::square(20.0), Material::diffuse(color), Transform::IDENTITY).map(|_| ())
 }
 
 /// From the upper left, behind the viewer.
