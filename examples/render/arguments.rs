@@ -72,8 +72,7 @@ impl Arguments {
         let arguments = match Self::try_parse() {
             Ok(arguments) => arguments,
             Err(error) if matches!(error.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion) => {
-                print!("{error}");
-                return Ok(None);
+                return error.print().map(|()| None).map_err(|error| format!("standard output: {error}"));
             }
             Err(error) => return Err(one_line(&error)),
         };

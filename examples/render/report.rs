@@ -6,6 +6,7 @@ use std::time::Duration;
 use comfy_table::Table;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use ropewalk::FrameReport;
+use ropewalk::gltf::{ImportCounts, NotHonoured};
 use serde::{Serialize, Serializer};
 
 /// One run of the program. Times are in seconds.
@@ -13,6 +14,10 @@ use serde::{Serialize, Serializer};
 pub(crate) struct Report {
     /// The file rendered; none for the built-in scene.
     pub(crate) file: Option<PathBuf>,
+    /// What the file gave.
+    pub(crate) import: Option<ImportCounts>,
+    /// What of the file was not honoured, or not to the letter.
+    pub(crate) not_honoured: Vec<NotHonoured>,
     /// Why the GPU was not used, where it was wanted.
     pub(crate) fallback: Option<String>,
     /// To read the file or make the scene.
@@ -42,10 +47,15 @@ pub(crate) struct FrameEntry {
 }
 
 impl Report {
-    /// Two tables: the scene, and the time of each phase in the first frame and in those after it.
+    /// Two tables, the scene, and the time of each phase in the first frame and in those after it; below them what of the
+    /// file was not honoured.
     pub(crate) fn to_tables(&self) -> String {
         let Some((first, later)) = self.frames.split_first() else { return String::new() };
-        format!("{}\n{}", self.scene_table(&first.report), phase_table(first, later))
+        let mut text = format!("{}\n{}", self.scene_table(&first.report), phase_table(first, later));
+        for what in &self.not_honoured {
+            text += &format!("\nnot honoured: {what}");
+        }
+        text
     }
 
     /// All of it.
