@@ -23,6 +23,9 @@ use crate::{Error, Result};
 /// returns an error has left the scene as it was. There is nothing to commit: every getter answers from the current
 /// state.
 ///
+/// Not guaranteed: that a key of another scene is found out. Keys do not tell their scene, so it may name something
+/// here.
+///
 /// ```
 /// use glam::{DVec3, Vec3};
 /// use ropewalk::{Core, Geometry, Material, Scene, Transform};
