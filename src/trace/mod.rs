@@ -2,7 +2,6 @@
 
 mod cpu;
 mod emulated;
-#[allow(dead_code, reason = "shading, not merged yet, uses the rest")]
 mod kernel;
 mod planes;
 pub mod shader;
