@@ -1,7 +1,7 @@
 // What a material is at a point of a triangle: vertex streams times textures times factors. Twin of
 // src/trace/kernel/material.rs.
 
-// A point of a triangle, as the vertex streams see it.
+// A point of a triangle, as the vertex streams see it. A geometry without streams has no vertices.
 struct Place {
     streams: Streams,
     vertices: vec3<u32>,
@@ -10,8 +10,11 @@ struct Place {
 
 fn place_on(instance: Instance, triangle: Triangle, u: f32, v: f32) -> Place {
     let streams = geometries[instance.geometry];
-    let first = streams.first_index + 3u * triangle.primitive;
-    let vertices = vec3<u32>(indices[first], indices[first + 1u], indices[first + 2u]);
+    var vertices = vec3<u32>(0u);
+    if streams.first_index != NONE {
+        let first = streams.first_index + 3u * triangle.primitive;
+        vertices = vec3<u32>(indices[first], indices[first + 1u], indices[first + 2u]);
+    }
     return Place(streams, vertices, vec3<f32>((1.0 - u) - v, u, v));
 }
 

@@ -10,7 +10,7 @@ use crate::device::layout::{
     Instance, InstanceFlags, Material, MaterialFlags, NONE, Streams, TextureFlags, TextureInfo, Triangle,
 };
 
-/// A point of a triangle, as the vertex streams see it.
+/// A point of a triangle, as the vertex streams see it. A geometry without streams has no vertices.
 pub(crate) struct Place {
     pub streams: Streams,
     pub vertices: [u32; 3],
@@ -19,8 +19,11 @@ pub(crate) struct Place {
 
 pub(crate) fn place_on(scene: &KernelScene<'_>, instance: &Instance, triangle: &Triangle, u: f32, v: f32) -> Place {
     let streams = scene.geometries[instance.geometry as usize];
-    let first = (streams.first_index + 3 * triangle.primitive) as usize;
-    let vertices = [scene.indices[first], scene.indices[first + 1], scene.indices[first + 2]];
+    let mut vertices = [0; 3];
+    if streams.first_index != NONE {
+        let first = (streams.first_index + 3 * triangle.primitive) as usize;
+        vertices = [scene.indices[first], scene.indices[first + 1], scene.indices[first + 2]];
+    }
     Place { streams, vertices, weights: Vec3::new((1.0 - u) - v, u, v) }
 }
 
