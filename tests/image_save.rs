@@ -1,4 +1,5 @@
 //! Image files: read back by the decoders of the crates `image` and `exr`, and what is left when writing fails.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
 use std::fs;
 use std::path::Path;

@@ -1,7 +1,7 @@
 // What a material is at a point of a triangle: vertex streams times textures times factors. Twin of
 // src/trace/kernel/material.rs.
 
-// A point of a triangle, as the vertex streams see it. A geometry without streams has no vertices.
+// A point of a triangle, as the vertex streams see it.
 struct Place {
     streams: Streams,
     vertices: vec3<u32>,
@@ -10,6 +10,7 @@ struct Place {
 
 fn place_on(instance: Instance, triangle: Triangle, u: f32, v: f32) -> Place {
     let streams = geometries[instance.geometry];
+    // A geometry without streams has no indices either.
     var vertices = vec3<u32>(0u);
     if streams.first_index != NONE {
         let first = streams.first_index + 3u * triangle.primitive;

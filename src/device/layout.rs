@@ -122,6 +122,7 @@ bitflags::bitflags! {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
 pub struct Streams {
     /// Into `indices`, in `u32`s: the three vertices of triangle `primitive` are at `first_index + 3 * primitive`.
+    /// [`NONE`] for a geometry without any stream, which has nothing to look up.
     pub first_index: u32,
     /// Into `normals`, in `f32`s: three a vertex.
     pub first_normal: u32,

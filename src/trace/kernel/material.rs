@@ -10,7 +10,7 @@ use crate::device::layout::{
     Instance, InstanceFlags, Material, MaterialFlags, NONE, Streams, TextureFlags, TextureInfo, Triangle,
 };
 
-/// A point of a triangle, as the vertex streams see it. A geometry without streams has no vertices.
+/// A point of a triangle, as the vertex streams see it.
 pub(crate) struct Place {
     pub streams: Streams,
     pub vertices: [u32; 3],
@@ -19,6 +19,7 @@ pub(crate) struct Place {
 
 pub(crate) fn place_on(scene: &KernelScene<'_>, instance: &Instance, triangle: &Triangle, u: f32, v: f32) -> Place {
     let streams = scene.geometries[instance.geometry as usize];
+    // A geometry without streams has no indices either.
     let mut vertices = [0; 3];
     if streams.first_index != NONE {
         let first = (streams.first_index + 3 * triangle.primitive) as usize;
