@@ -9,7 +9,7 @@ use ropewalk::{AlphaMode, Camera, Core, Filter, Result, Scene, Sky, Transform, V
 
 use crate::builtin::{self, shapes, textures};
 
-pub fn builtin_scene(scene: &mut Scene) -> Result<View> {
+pub(crate) fn builtin_scene(scene: &mut Scene) -> Result<View> {
     let camera = builtin::build(scene)?;
     let mut view = View::from_camera(scene, camera, 1, 1)?;
     view.sky = builtin::sky();
@@ -17,7 +17,7 @@ pub fn builtin_scene(scene: &mut Scene) -> Result<View> {
 }
 
 /// A ball, a block and a lens of glass before a checkerboard: the ball shows it upside down, the block shifted.
-pub fn glass(scene: &mut Scene) -> Result<View> {
+pub(crate) fn glass(scene: &mut Scene) -> Result<View> {
     let checker = checkerboard(scene, Filter::Nearest)?;
     put(scene, shapes::cuboid(vec3(4.0, 2.0, 0.1)), checker, at(0.0, 1.0, -2.5))?;
     stand_on_floor(scene, Vec3::splat(0.4))?;
@@ -37,7 +37,7 @@ pub fn glass(scene: &mut Scene) -> Result<View> {
 }
 
 /// A ball between two mirrors: each level of reflection shows one image more, the last is empty.
-pub fn mirror_depth(scene: &mut Scene) -> Result<View> {
+pub(crate) fn mirror_depth(scene: &mut Scene) -> Result<View> {
     stand_on_floor(scene, vec3(0.5, 0.45, 0.4))?;
     for (z, tint) in [(-2.0, vec3(0.9, 0.9, 0.95)), (2.6, vec3(0.95, 0.9, 0.85))] {
         put(scene, shapes::cuboid(vec3(3.0, 1.5, 0.05)), Material::mirror(tint), at(0.0, 1.2, z))?;
@@ -52,7 +52,7 @@ pub fn mirror_depth(scene: &mut Scene) -> Result<View> {
 
 /// Two periods of a texture with four different corners. Columns: repeated, mirrored, clamped; turned by a texture transform.
 /// Upper row: nearest texel; lower row: bilinear.
-pub fn texture_wrap(scene: &mut Scene) -> Result<View> {
+pub(crate) fn texture_wrap(scene: &mut Scene) -> Result<View> {
     let corner = |x: u32, y: u32| match (x / 2, y / 2) {
         _ if x == y => [255, 255, 255, 255],
         (0, 0) => [220, 40, 30, 255],
@@ -89,7 +89,7 @@ pub fn texture_wrap(scene: &mut Scene) -> Result<View> {
 }
 
 /// Alpha masks with round holes, whose shadow has holes too, and three panes of blended colour one behind the other.
-pub fn alpha(scene: &mut Scene) -> Result<View> {
+pub(crate) fn alpha(scene: &mut Scene) -> Result<View> {
     stand_on_floor(scene, Vec3::splat(0.6))?;
     let holes = |x: u32, y: u32| {
         let from_middle = vec2((x % 16) as f32 - 7.5, (y % 16) as f32 - 7.5).length();
@@ -118,7 +118,7 @@ pub fn alpha(scene: &mut Scene) -> Result<View> {
 }
 
 /// One single-sided, unsymmetrical piece under scales of every sign, flat and smooth: none may be inside out.
-pub fn mirrored(scene: &mut Scene) -> Result<View> {
+pub(crate) fn mirrored(scene: &mut Scene) -> Result<View> {
     stand_on_floor(scene, Vec3::splat(0.5))?;
     let part = Material { double_sided: false, ..Material::diffuse(vec3(0.85, 0.45, 0.15)) };
     let geometries = [shapes::cuboid(Vec3::ONE), shapes::sphere(3)];
@@ -146,7 +146,7 @@ pub fn mirrored(scene: &mut Scene) -> Result<View> {
 }
 
 /// A red spot, a green point light whose range ends on the floor, and a dim blue directional one, each with shadows.
-pub fn lights(scene: &mut Scene) -> Result<View> {
+pub(crate) fn lights(scene: &mut Scene) -> Result<View> {
     stand_on_floor(scene, Vec3::splat(0.8))?;
     for (x, z) in [(-1.4, 0.0), (0.0, -0.4), (1.4, 0.0)] {
         put(scene, shapes::sphere(4), Material::diffuse(Vec3::splat(0.8)), scaled(x, 0.4, z, DVec3::splat(0.4)))?;
@@ -170,7 +170,7 @@ pub fn lights(scene: &mut Scene) -> Result<View> {
 }
 
 /// Colours by vertex: a cube in RGB space, and a ball striped by hue.
-pub fn vertex_colors(scene: &mut Scene) -> Result<View> {
+pub(crate) fn vertex_colors(scene: &mut Scene) -> Result<View> {
     stand_on_floor(scene, Vec3::splat(0.5))?;
     let colored = |mut geometry: Geometry, color: fn(Vec3) -> Vec3| {
         geometry.colors = Some(geometry.positions.iter().map(|&p| color(p).extend(1.0)).collect());
@@ -193,7 +193,7 @@ pub fn vertex_colors(scene: &mut Scene) -> Result<View> {
 }
 
 /// In the dark: what emits is seen, evenly or by texture; what is unlit is seen as it is; the rest is black.
-pub fn emissive_unlit(scene: &mut Scene) -> Result<View> {
+pub(crate) fn emissive_unlit(scene: &mut Scene) -> Result<View> {
     let checker = checkerboard(scene, Filter::Nearest)?;
     let black = Material::diffuse(Vec3::ZERO);
     let materials = [
@@ -219,7 +219,7 @@ pub fn emissive_unlit(scene: &mut Scene) -> Result<View> {
 }
 
 /// A city of one shared block under an orthographic camera: parallel edges stay parallel.
-pub fn orthographic_instances(scene: &mut Scene) -> Result<View> {
+pub(crate) fn orthographic_instances(scene: &mut Scene) -> Result<View> {
     stand_on_floor(scene, vec3(0.55, 0.6, 0.5))?;
     let block = scene.add_geometry(shapes::cuboid(Vec3::splat(0.5)))?;
     let palette = [vec3(0.85, 0.8, 0.7), vec3(0.7, 0.35, 0.25), vec3(0.35, 0.45, 0.6)];
@@ -242,7 +242,7 @@ pub fn orthographic_instances(scene: &mut Scene) -> Result<View> {
 }
 
 /// Balls from smooth to rough; upper row of metal, lower of plastic; the last of each by texture.
-pub fn metallic_roughness(scene: &mut Scene) -> Result<View> {
+pub(crate) fn metallic_roughness(scene: &mut Scene) -> Result<View> {
     // Green is roughness, blue is metallic.
     let texels = [[0, 0, 255, 255], [0, 200, 255, 255], [0, 60, 0, 255], [0, 255, 0, 255]].into();
     let texture = scene.add_texture(Texture { width: 2, height: 2, texels })?;
@@ -272,7 +272,7 @@ pub fn metallic_roughness(scene: &mut Scene) -> Result<View> {
 }
 
 /// Flat plates whose normals come from a texture of round bumps, at three strengths: 0, 1 and -1 (dents).
-pub fn normal_texture(scene: &mut Scene) -> Result<View> {
+pub(crate) fn normal_texture(scene: &mut Scene) -> Result<View> {
     let bump = |p: Vec2| {
         let from_middle = (p * 4.0).fract() * 2.0 - 1.0;
         let inside = from_middle.length() < 0.8;
@@ -315,7 +315,7 @@ fn checkerboard(scene: &mut Scene, filter: Filter) -> Result<Material> {
 }
 
 fn stand_on_floor(scene: &mut Scene, color: Vec3) -> Result<()> {
-    put(scene, shapes::floor(20.0, 1.0), Material::diffuse(color), Transform::IDENTITY).map(|_| ())
+    put(scene, shapes::square(20.0), Material::diffuse(color), Transform::IDENTITY).map(|_| ())
 }
 
 /// From the upper left, behind the viewer.
