@@ -104,14 +104,17 @@ impl Arguments {
         if samples <= MOST_SAMPLES {
             return Ok(());
         }
-        Err(format!("--size and --samples ask for {samples} rays an image, but at most {MOST_SAMPLES} are traced at once"))
+        Err(format!(
+            "--size and --samples ask for {samples} rays an image, but at most {MOST_SAMPLES} are traced at once"
+        ))
     }
 }
 
 /// What clap says in several lines, without the usage.
 fn one_line(error: &clap::Error) -> String {
     let text = error.to_string();
-    let said = text.lines().map(str::trim).take_while(|line| !line.starts_with("Usage:") && !line.starts_with("For more"));
+    let said =
+        text.lines().map(str::trim).take_while(|line| !line.starts_with("Usage:") && !line.starts_with("For more"));
     let line = said.filter(|line| !line.is_empty()).collect::<Vec<_>>().join(" ");
     line.trim_start_matches("error: ").to_owned()
 }

@@ -68,7 +68,10 @@ impl Report {
             ["geometries", &format!("{}, {} triangles", self.geometries, compile.triangles)],
             ["instances", &format!("{}, {} triangles", compile.instances, compile.scene_triangles)],
             ["instances that no ray can hit", &compile.singular_instances.to_string()],
-            ["materials, textures, lights", &format!("{}, {}, {}", compile.materials, compile.textures, compile.lights)],
+            [
+                "materials, textures, lights",
+                &format!("{}, {}, {}", compile.materials, compile.textures, compile.lights),
+            ],
             ["in use", &needs.join(", ")],
             ["device memory", &format!("{:.1} MiB", compile.device_bytes as f64 / f64::from(1 << 20))],
             ["load", &milliseconds(self.load_time)],

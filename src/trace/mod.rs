@@ -2,6 +2,8 @@
 
 mod cpu;
 mod emulated;
+#[cfg(feature = "gpu")]
+pub mod gpu;
 #[allow(dead_code, reason = "shading, not merged yet, uses the rest")]
 mod kernel;
 mod planes;

@@ -25,20 +25,14 @@ const BEADS: u32 = 25;
 pub fn build(scene: &mut Scene) -> Result<NodeKey> {
     let root = scene.root();
     let texture = scene.add_texture(textures::marble(256))?;
-    let marble =
-        Material { base_color_texture: Some(TextureRef::new(texture)), roughness: 0.5, ..Material::default() };
+    let marble = Material { base_color_texture: Some(TextureRef::new(texture)), roughness: 0.5, ..Material::default() };
     add_court(scene, root, &marble)?;
     add_colonnade(scene, root, &marble)?;
     add_knot(scene, root, &marble)?;
     add_balls(scene, root)?;
 
     // A low sun from the left, a little behind what is seen: columns and beads draw long shadows over the floor.
-    let sun = Light {
-        kind: LightKind::Directional,
-        color: Vec3::new(1.0, 0.86, 0.68),
-        intensity: 4.2,
-        range: None,
-    };
+    let sun = Light { kind: LightKind::Directional, color: Vec3::new(1.0, 0.86, 0.68), intensity: 4.2, range: None };
     let sun_pose = Transform::looking_at(dvec3(-5.4, 4.9, 0.4), DVec3::ZERO, DVec3::Y);
     let sun_node = scene.add(root, sun_pose)?;
     scene.set_name(sun_node, "sun")?;
@@ -87,10 +81,8 @@ fn add_colonnade(scene: &mut Scene, root: NodeKey, marble: &Material) -> Result<
     // Each profile is a column part's own: heights are absolute.
     let height = COLUMN_HEIGHT as f32;
     let base = [(0.46, 0.0), (0.46, 0.12), (0.40, 0.14), (0.43, 0.18), (0.43, 0.24), (0.36, 0.28), (0.33, 0.32)];
-    let shaft: Vec<(f32, f32)> = (0..=12)
-        .map(|i| i as f32 / 12.0)
-        .map(|t| (0.32 - 0.05 * t * t, 0.32 + t * (height - 0.72)))
-        .collect();
+    let shaft: Vec<(f32, f32)> =
+        (0..=12).map(|i| i as f32 / 12.0).map(|t| (0.32 - 0.05 * t * t, 0.32 + t * (height - 0.72))).collect();
     let capital =
         [(0.27, -0.40), (0.29, -0.37), (0.27, -0.34), (0.30, -0.28), (0.42, -0.14), (0.45, -0.12), (0.45, 0.0)];
     let capital = capital.map(|(radius, below_top)| (radius, height + below_top));
@@ -109,8 +101,15 @@ fn add_colonnade(scene: &mut Scene, root: NodeKey, marble: &Material) -> Result<
 
     let (inner, outer) = (RING_RADIUS as f32 - 0.42, RING_RADIUS as f32 + 0.42);
     let ring = [
-        (inner, 0.0), (outer, 0.0), (outer, 0.30), (outer + 0.08, 0.34), (outer + 0.08, 0.56),
-        (inner - 0.08, 0.56), (inner - 0.08, 0.34), (inner, 0.30), (inner, 0.0),
+        (inner, 0.0),
+        (outer, 0.0),
+        (outer, 0.30),
+        (outer + 0.08, 0.34),
+        (outer + 0.08, 0.56),
+        (inner - 0.08, 0.56),
+        (inner - 0.08, 0.34),
+        (inner, 0.30),
+        (inner, 0.0),
     ];
     let ring = ring.map(|(radius, above)| (radius, height + above));
     let ring = core(scene, shapes::lathe(&points(&ring), 128, 0, 0.0), marble.clone())?;
@@ -154,8 +153,16 @@ fn add_garlands(scene: &mut Scene, colonnade: NodeKey) -> Result<()> {
 /// The rope: three strands of one geometry, tied into a trefoil knot, on a drum of marble.
 fn add_knot(scene: &mut Scene, root: NodeKey, marble: &Material) -> Result<()> {
     let drum = [
-        (0.62, 0.28), (0.62, 0.36), (0.56, 0.40), (0.50, 0.44), (0.50, 1.00), (0.54, 1.04), (0.60, 1.07), (0.60, 1.13),
-        (0.57, 1.16), (0.0, 1.16),
+        (0.62, 0.28),
+        (0.62, 0.36),
+        (0.56, 0.40),
+        (0.50, 0.44),
+        (0.50, 1.00),
+        (0.54, 1.04),
+        (0.60, 1.07),
+        (0.60, 1.13),
+        (0.57, 1.16),
+        (0.0, 1.16),
     ];
     let drum = core(scene, shapes::lathe(&points(&drum), 96, 0, 0.0), marble.clone())?;
     let drum = scene.add(root, drum)?;

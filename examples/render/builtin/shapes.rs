@@ -107,9 +107,8 @@ pub fn cuboid(half: Vec3) -> Geometry {
 /// A square in the xz plane that faces up, with sides of `2 * half`, its texture repeated `repeats` times along each.
 pub fn floor(half: f32, repeats: f32) -> Geometry {
     let mut mesh = Mesh::default();
-    let corners = [(-1.0, 1.0), (1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)].map(|(x, z)| {
-        mesh.vertex(vec3(x, 0.0, z) * half, Vec3::Y, (vec2(x, z) * 0.5 + 0.5) * repeats)
-    });
+    let corners = [(-1.0, 1.0), (1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)]
+        .map(|(x, z)| mesh.vertex(vec3(x, 0.0, z) * half, Vec3::Y, (vec2(x, z) * 0.5 + 0.5) * repeats));
     mesh.quad(corners);
     mesh.finish()
 }
@@ -208,11 +207,5 @@ pub fn trefoil_strand(strand: u32, strands: u32, rope_radius: f32) -> Geometry {
     // Strands of this radius touch their neighbours.
     let touching = (PI / strands as f32).sin();
     let to_strand = rope_radius / (1.0 + touching);
-    closed_tube(
-        move |t| lay(t).0 + lay(t).1 * to_strand,
-        move |t| lay(t).1,
-        to_strand * touching,
-        1200,
-        14,
-    )
+    closed_tube(move |t| lay(t).0 + lay(t).1 * to_strand, move |t| lay(t).1, to_strand * touching, 1200, 14)
 }
