@@ -69,7 +69,18 @@ fn works_without_optional_features() {
 
 #[test]
 fn a_lost_device_is_an_error_from_every_call() {
-    let Some(mut tracer) = tracer() else { return };
+    let Some(tracer) = tracer() else { return };
+    lose(tracer);
+}
+
+#[test]
+fn a_lost_device_of_the_application_is_too() {
+    let Some((adapter, _)) = adapter() else { return };
+    let (device, queue) = device(&adapter, required_limits(&adapter), wanted_features(&adapter));
+    lose(GpuTracer::from_device(device, queue).unwrap());
+}
+
+fn lose(mut tracer: GpuTracer) {
     let mut random = Random::new(3);
     let mut arrays = soup(2, &mut random);
     let request = crate::frame::request(8, 8, true);
@@ -79,14 +90,15 @@ fn a_lost_device_is_an_error_from_every_call() {
     let rays = rays(10, &mut random);
     arrays.instances.write(0, &[arrays.instances[1]]);
     let outcomes = [
+        tracer.read().err(),
         tracer.render(&arrays, &request).err(),
         tracer.read().err(),
         tracer.closest_hits(&arrays, &rays, 1).err(),
         tracer.any_hits(&arrays, &rays, 1).err(),
         tracer.upload(&mut arrays).err(),
     ];
-    for outcome in outcomes {
-        assert!(matches!(outcome, Some(Error::Gpu { .. })), "{outcome:?}");
+    for (call, outcome) in outcomes.iter().enumerate() {
+        assert!(matches!(outcome, Some(Error::Gpu { .. })), "call {call}: {outcome:?}");
     }
     assert_eq!(tracer.last_trace_time(), None);
 }

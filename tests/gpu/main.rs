@@ -1,6 +1,7 @@
 //! The GPU executor on whatever adapter there is, a software one too. Where there is none these tests are skipped and
 //! say so; under `ROPEWALK_REQUIRE_GPU=1` (set by `scripts/test.sh`) they fail.
 #![cfg(feature = "gpu")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
 mod agreement;
 mod device;

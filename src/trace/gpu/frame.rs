@@ -12,7 +12,7 @@ use crate::{Error, Result};
 /// What fails if a frame cannot be traced.
 pub(super) const TRACING: &str = "tracing the frame";
 /// What fails if it cannot be read.
-const READING: &str = "reading the frame";
+pub(super) const READING: &str = "reading the frame";
 
 /// Pixels that one dispatch traces. Drivers end a dispatch that takes seconds: this many take a small part of one even
 /// where paths are long and the GPU is weak.
@@ -62,6 +62,19 @@ pub(super) fn layout(context: &Context) -> wgpu::BindGroupLayout {
     })
 }
 
+/// Fails if no image can be that large.
+pub(super) fn check_size([width, height]: [u32; 2], limits: &wgpu::Limits) -> Result<()> {
+    let limit = limits.max_texture_dimension_2d;
+    for (what, needed) in [("the image's width (pixels)", width), ("the image's height (pixels)", height)] {
+        if needed > limit {
+            let hint = "; render it in parts, or use the cpu executor";
+            return Err(Error::Limit { what, needed: needed.into(), limit: limit.into(), hint });
+        }
+    }
+    Planes::check_size(width, height)?;
+    Ok(())
+}
+
 /// The outputs of a frame of one size.
 #[derive(Debug)]
 pub(super) struct Frame {
@@ -93,14 +106,7 @@ impl Frame {
         layout: &wgpu::BindGroupLayout,
         [width, height]: [u32; 2],
         aovs: bool,
-    ) -> Result<Self> {
-        let limit = context.limits.max_texture_dimension_2d;
-        for (what, needed) in [("the image's width (pixels)", width), ("the image's height (pixels)", height)] {
-            if needed > limit {
-                let hint = "; render it in parts, or use the cpu executor";
-                return Err(Error::Limit { what, needed: needed.into(), limit: limit.into(), hint });
-            }
-        }
+    ) -> Self {
         let texture = |label, format, size: [u32; 2]| {
             context.device.create_texture(&wgpu::TextureDescriptor {
                 label: Some(label),
@@ -123,22 +129,9 @@ impl Frame {
         let params = context.buffer("frame", (slots * stride) as u64, BufferUsages::UNIFORM | BufferUsages::COPY_DST);
         let view = |texture: &wgpu::Texture| texture.create_view(&wgpu::TextureViewDescriptor::default());
         let color_view = view(&color);
-        let one_slot = wgpu::BufferBinding {
-            buffer: &params,
-            offset: 0,
-            size: wgpu::BufferSize::new(size_of::<FrameParams>() as u64),
-        };
-        let bind_group = context.device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some("frame"),
-            layout,
-            entries: &[
-                wgpu::BindGroupEntry { binding: 0, resource: wgpu::BindingResource::Buffer(one_slot) },
-                wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::TextureView(&color_view) },
-                wgpu::BindGroupEntry { binding: 2, resource: wgpu::BindingResource::TextureView(&view(&normal_depth)) },
-                wgpu::BindGroupEntry { binding: 3, resource: wgpu::BindingResource::TextureView(&view(&ids)) },
-            ],
-        });
-        Ok(Self { width, height, aovs, color, color_view, normal_depth, ids, params, stride, bind_group })
+        let outputs = [&color_view, &view(&normal_depth), &view(&ids)];
+        let bind_group = bind(context, layout, &params, outputs);
+        Self { width, height, aovs, color, color_view, normal_depth, ids, params, stride, bind_group }
     }
 
     /// Whether a frame of that kind fits here.
@@ -251,6 +244,23 @@ impl Frame {
         })?;
         Ok(pixels)
     }
+}
+
+/// Binds one dispatch's parameters, which one being told by a dynamic offset, and the outputs.
+fn bind(
+    context: &Context,
+    layout: &wgpu::BindGroupLayout,
+    params: &wgpu::Buffer,
+    outputs: [&wgpu::TextureView; 3],
+) -> wgpu::BindGroup {
+    let size = wgpu::BufferSize::new(size_of::<FrameParams>() as u64);
+    let one = wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer: params, offset: 0, size });
+    let outputs = outputs.map(wgpu::BindingResource::TextureView);
+    let entries: Vec<_> = (0..)
+        .zip(std::iter::once(one).chain(outputs))
+        .map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource })
+        .collect();
+    context.device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some("frame"), layout, entries: &entries })
 }
 
 fn copy_rows(

@@ -33,9 +33,10 @@ pub struct GpuTracer {
     frame_layout: wgpu::BindGroupLayout,
     batch_layout: wgpu::BindGroupLayout,
     timer: Option<Timer>,
+    /// The last frame, where that has pixels and did not fail.
     frame: Option<Frame>,
     /// The last frame, where that has no pixels.
-    empty: Planes,
+    empty: Option<Planes>,
     batch: Option<Batch>,
 }
 
@@ -81,7 +82,7 @@ impl GpuTracer {
                 batch_layout,
                 timer,
                 frame: None,
-                empty: Planes::default(),
+                empty: Some(Planes::default()),
                 batch: None,
             })
     }
@@ -154,34 +155,33 @@ impl Tracer for GpuTracer {
     }
 
     fn render(&mut self, _: &DeviceArrays, request: &FrameRequest) -> Result<()> {
-        let Self { context, scene, pipelines, timer, .. } = self;
+        let Self { context, scene, pipelines, frame_layout, timer, .. } = self;
         let scene = scene.bind_group().ok_or_else(not_uploaded)?;
         let size = [request.params.width, request.params.height];
-        Planes::check_size(size[0], size[1])?;
+        frame::check_size(size, &context.limits)?;
         if size.contains(&0) {
             self.frame = None;
-            self.empty = Planes::new(size[0], size[1], request.aovs)?;
+            self.empty = Some(Planes::new(size[0], size[1], request.aovs)?);
             return Ok(());
         }
-        let frame = match self.frame.take().filter(|frame| frame.serves(size, request.aovs)) {
-            Some(frame) => frame,
-            None => {
-                context.scoped("making the frame", || Frame::new(context, &self.frame_layout, size, request.aovs))?
-            }
-        };
         let entry_point = if request.aovs { EntryPoint::RenderAovs } else { EntryPoint::Render };
         let (pipeline, is_new) = pipelines.pipeline(context, entry_point, request.needs)?;
-        context.scoped(frame::TRACING, || {
-            frame.trace(context, &pipeline, is_new, scene, timer.as_ref(), &request.params)
+        self.empty = None;
+        let last = self.frame.take().filter(|frame| frame.serves(size, request.aovs));
+        let frame = context.scoped(frame::TRACING, || {
+            let frame = last.unwrap_or_else(|| Frame::new(context, frame_layout, size, request.aovs));
+            frame.trace(context, &pipeline, is_new, scene, timer.as_ref(), &request.params)?;
+            Ok(frame)
         })?;
         self.frame = Some(frame);
         Ok(())
     }
 
     fn read(&self) -> Result<Image> {
-        match &self.frame {
-            Some(frame) => Ok(frame.read(&self.context)?.into_image()),
-            None => Ok(self.empty.clone().into_image()),
+        match (&self.frame, &self.empty) {
+            (Some(frame), _) => Ok(frame.read(&self.context)?.into_image()),
+            (None, Some(empty)) => Ok(empty.clone().into_image()),
+            (None, None) => Err(Error::Gpu { during: frame::READING, message: "the last one failed".into() }),
         }
     }
 
