@@ -1,11 +1,74 @@
 //! Scenes that are very deep, very wide or very large: nothing overflows the stack, and edits cost what they change.
+#![expect(clippy::unwrap_used, reason = "helpers of tests")]
 
 use std::time::Instant;
 
 use glam::DVec3;
-use ropewalk::{Changes, Core, NodeKey, Scene, Transform};
+use ropewalk::{Changes, Core, Error, Keep, NodeKey, Scene, Transform};
 
 const STEP: DVec3 = DVec3::new(1.0, 0.0, 0.0);
+
+#[test]
+fn a_chain_of_100_000_transforms() {
+    const DEPTH: usize = 100_000;
+    let mut scene = Scene::new();
+    let mut chain = vec![scene.root()];
+    for depth in 0..DEPTH {
+        chain.push(scene.add(chain[depth], Transform::from_translation(STEP)).unwrap());
+    }
+    let (top, middle, leaf) = (chain[1], chain[DEPTH / 2], chain[DEPTH]);
+    assert_eq!(scene.world(leaf).unwrap().translation, STEP * DEPTH as f64);
+    assert_eq!(scene.descendants(scene.root()).unwrap().last(), Some(leaf));
+    assert_eq!(scene.ancestors(leaf).unwrap().count(), DEPTH);
+    assert!(scene.world_bounds(top).unwrap().is_empty());
+    assert_eq!(scene.hierarchy().worlds()[DEPTH].translation, STEP * DEPTH as f64);
+    scene.validate().unwrap();
+
+    scene.set_local(top, Transform::from_translation(STEP * 2.0)).unwrap();
+    assert_eq!(scene.hierarchy().worlds()[DEPTH].translation, STEP * (DEPTH + 1) as f64);
+    assert!(matches!(scene.reparent(top, leaf, Keep::Local), Err(Error::Cycle { .. })));
+
+    // The lower half moves up, then the upper half goes.
+    scene.reparent(middle, scene.root(), Keep::World).unwrap();
+    assert_eq!(scene.world(leaf).unwrap().translation, STEP * (DEPTH + 1) as f64);
+    scene.remove(top).unwrap();
+    assert_eq!(scene.node_count(), 1 + DEPTH - DEPTH / 2 + 1);
+    scene.validate().unwrap();
+    scene.remove(middle).unwrap();
+    assert_eq!((scene.node_count(), scene.core_count()), (1, 1));
+}
+
+#[test]
+fn a_parent_of_1_000_000_children() {
+    const WIDTH: usize = 1_000_000;
+    let mut scene = Scene::new();
+    let first = scene.add(scene.root(), Transform::from_translation(STEP)).unwrap();
+    let core = scene.core_key(first).unwrap();
+    let children: Vec<NodeKey> =
+        std::iter::once(first).chain((1..WIDTH).map(|_| scene.add(scene.root(), core).unwrap())).collect();
+    assert!(scene.children(scene.root()).unwrap().eq(children.iter().copied()));
+    assert_eq!(scene.hierarchy().worlds().len(), WIDTH + 1);
+
+    // They share one core: all move.
+    scene.set_local(children[WIDTH / 2], Transform::from_translation(STEP * 3.0)).unwrap();
+    assert!(scene.hierarchy().worlds()[1..].iter().all(|world| world.translation == STEP * 3.0));
+    scene.validate().unwrap();
+
+    // In the middle of both lists: of siblings, and of users of the core.
+    for &child in children.iter().skip(1).step_by(2) {
+        scene.remove(child).unwrap();
+    }
+    for &child in children.iter().step_by(4) {
+        scene.reparent(child, children[2], Keep::Local).unwrap();
+    }
+    scene.validate().unwrap();
+    assert_eq!(scene.users(core).unwrap().count(), WIDTH / 2);
+    assert_eq!(scene.children(children[2]).unwrap().count(), WIDTH / 4);
+    for &child in children.iter().skip(2).step_by(4) {
+        scene.remove(child).unwrap();
+    }
+    assert_eq!((scene.node_count(), scene.core_count()), (1, 1));
+}
 
 #[test]
 #[ignore = "prints times: cargo test --release --test graph_scale -- --ignored --nocapture"]
@@ -35,7 +98,7 @@ fn times_of_a_million_nodes() {
             });
             time(&format!("hierarchy after {what}"), &mut || assert!(!scene.hierarchy().nodes().is_empty()));
             time(&format!("read the log after {what}"), &mut || {
-                assert_ne!(scene.changes_since(&mut cursor), Changes::Everything)
+                assert_ne!(scene.changes_since(&mut cursor), Changes::Everything);
             });
         }
     }

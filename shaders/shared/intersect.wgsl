@@ -1,6 +1,7 @@
 // Ray against box and ray against triangle. Twin of src/trace/kernel/intersect.rs: the proofs are there.
 
 const BOX_SLACK: f32 = 0.99999618530273438; // 1 - 2^-18
+const CORNER_TOLERANCE: f32 = 2.384185791015625e-7; // 2^-22
 const EDGE_TOLERANCE: f32 = 4.76837158203125e-7; // 2^-21
 
 // A ray as boxes see it.
@@ -26,6 +27,10 @@ struct Crossing {
     // The ray came from the side where the triangle winds clockwise.
     back: bool,
     is_hit: bool,
+}
+
+fn min_component(v: vec3<f32>) -> f32 {
+    return min(min(v.x, v.y), v.z);
 }
 
 fn max_component(v: vec3<f32>) -> f32 {
@@ -92,17 +97,27 @@ fn cross_triangle(ray: ShearRay, triangle: Triangle) -> Crossing {
     let y = vec3<f32>(dot3(ray.y_row, a), dot3(ray.y_row, b), dot3(ray.y_row, c));
     let t = vec3<f32>(dot3(ray.t_row, a), dot3(ray.t_row, b), dot3(ray.t_row, c));
 
-    // 1. Edge functions: twice the areas that the ray cuts the sheared triangle into.
+    let depth = max(-min_component(t), max_component(t)) * ray.depth_scale;
+
+    // 1. Beside the triangle by more than rounding can explain?
+    let x_least = min_component(x);
+    let x_greatest = max_component(x);
+    let y_least = min_component(y);
+    let y_greatest = max_component(y);
+    let x_extent = max(-x_least, x_greatest);
+    let y_extent = max(-y_least, y_greatest);
+    let x_tolerance = CORNER_TOLERANCE * (depth + x_extent);
+    let y_tolerance = CORNER_TOLERANCE * (depth + y_extent);
+    if x_least > x_tolerance || x_greatest < -x_tolerance || y_least > y_tolerance || y_greatest < -y_tolerance {
+        return Crossing();
+    }
+
+    // 2. Outside of an edge by more than that? Edge functions are twice the areas that the ray cuts the triangle into.
     var weights = vec3<f32>(x.z * y.y - y.z * x.y, x.x * y.z - y.x * x.z, x.y * y.x - y.y * x.x);
     let back = (weights.x + weights.y) + weights.z < 0.0;
     weights = select(weights, -weights, back);
-
-    // 2. Outside by more than rounding can explain?
-    let x_extent = max_component(abs(x));
-    let y_extent = max_component(abs(y));
-    let depth = max_component(abs(t)) * ray.depth_scale;
     let tolerance = EDGE_TOLERANCE * (depth * (x_extent + y_extent) + 4.0 * (x_extent * y_extent));
-    if min(min(weights.x, weights.y), weights.z) < -tolerance {
+    if min_component(weights) < -tolerance {
         return Crossing();
     }
 
@@ -113,6 +128,6 @@ fn cross_triangle(ray: ShearRay, triangle: Triangle) -> Crossing {
         return Crossing();
     }
     weights = weights * (1.0 / area);
-    let t_hit = clamp(dot3(weights, t), min(min(t.x, t.y), t.z), max_component(t));
+    let t_hit = min(max(dot3(weights, t), min_component(t)), max_component(t));
     return Crossing(t_hit, weights.y, weights.z, back, true);
 }

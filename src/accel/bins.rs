@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use super::tree::{Extent, LaneBox, Reference};
 
 /// The most bins along an axis.
-const MAX_BINS: usize = 16;
+const MAX_BINS: usize = 32;
 
 /// From here on a node is binned and partitioned by several threads, in chunks of [`CHUNK`] references.
 pub(super) const PARALLEL_MINIMUM: usize = 1 << 16;
@@ -29,7 +29,7 @@ const ROUNDER: f32 = 8_388_608.0;
 impl Binning {
     /// Bins for a node, or `None` if all centres coincide.
     pub(super) fn new(extent: &Extent, primitive_count: usize) -> Option<Self> {
-        let bin_count = (4 + primitive_count / 4).min(MAX_BINS);
+        let bin_count = (4 + primitive_count / 8).min(MAX_BINS);
         let width = extent.centers.max - extent.centers.min;
         // The outermost centres are the middles of the outermost bins.
         let axis_scale = |width: f32| {
@@ -111,22 +111,23 @@ impl Bins {
     /// The three axes are swept side by side, a lane each. The outermost bins of a usable axis are never empty (they hold the
     /// outermost centres), so neither is any side of a split; on other axes the cost is NaN and never the least.
     pub(super) fn best_split(&self, binning: &Binning, scale: f32) -> Option<Split> {
-        let bin_count = binning.bin_count;
+        // The cost of what lies right of each plane, the plane before bin 1 first.
         let mut right_costs = [Vec4::ZERO; MAX_BINS];
+        let right_costs = &mut right_costs[..binning.bin_count - 1];
         let mut side = Side::EMPTY;
-        for bin in (1..bin_count).rev() {
-            side.add(&self.boxes[bin], &self.counts[bin]);
-            right_costs[bin] = side.costs(scale);
+        for (plane, cost) in right_costs.iter_mut().enumerate().rev() {
+            side.add(&self.boxes[plane + 1], &self.counts[plane + 1]);
+            *cost = side.costs(scale);
         }
         let mut least = Vec4::INFINITY;
         let mut least_bins = Vec4::ZERO;
         let mut side = Side::EMPTY;
-        for bin in 1..bin_count {
-            side.add(&self.boxes[bin - 1], &self.counts[bin - 1]);
-            let costs = side.costs(scale) + right_costs[bin];
+        for (plane, &right_cost) in right_costs.iter().enumerate() {
+            side.add(&self.boxes[plane], &self.counts[plane]);
+            let costs = side.costs(scale) + right_cost;
             let less = costs.cmplt(least);
             least = Vec4::select(less, costs, least);
-            least_bins = Vec4::select(less, Vec4::splat(bin as f32), least_bins);
+            least_bins = Vec4::select(less, Vec4::splat((plane + 1) as f32), least_bins);
         }
         let axis = if least.x <= least.y && least.x <= least.z {
             0
@@ -159,8 +160,8 @@ impl Side {
 
     #[inline]
     fn add(&mut self, boxes: &[LaneBox; 3], counts: &[i32; 4]) {
-        for axis in 0..3 {
-            self.boxes[axis] = self.boxes[axis].union(boxes[axis]);
+        for (sum, &bounds) in self.boxes.iter_mut().zip(boxes) {
+            *sum = sum.union(bounds);
         }
         for (sum, count) in self.counts.iter_mut().zip(counts) {
             *sum += count;

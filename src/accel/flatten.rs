@@ -1,6 +1,5 @@
 //! From a build tree to device nodes: the one place where depth-first order and escape indices are set.
 
-use bytemuck::Zeroable;
 use glam::Vec3;
 
 use super::tree::{BuildNode, BuildTree, slot_count};

@@ -1,52 +1,25 @@
-//! Acceleration structures.
-#![allow(missing_docs)]
+//! Acceleration structures: bounding volume hierarchies as depth-first arrays with escape indices (paper, section 3).
+//!
+//! Two levels: a [`Blas`] over the triangles of each geometry, in local space, and one [`Tlas`] over the instances, in
+//! device world space. Both are made in the same steps: a builder splits boxes into a build tree (binned SAH), `flatten`
+//! turns that into device nodes. In debug builds every result is [validated](Blas::validate).
+//!
+//! Guarantees, for any finite input:
+//! - Every primitive is in exactly one leaf; each box contains, with a margin, what is below it, and is not flat.
+//! - No hierarchy is deeper than [`MAX_DEPTH`].
+//! - The same input gives the same arrays, whatever the number of threads.
+
 mod bins;
 mod blas;
 mod flatten;
 mod sah;
+mod stats;
+mod tlas;
 mod tree;
-pub use blas::Blas;
+mod validate;
 
-/// How.
-#[derive(Clone, Copy, Debug)]
-pub struct BuildParams {
-    pub max_leaf_size: usize,
-    pub primitive_cost: f32,
-}
-
-impl Default for BuildParams {
-    fn default() -> Self {
-        Self { max_leaf_size: 15, primitive_cost: 1.0 }
-    }
-}
-
-use flatten::flatten;
-use tree::{Extent, Reference};
-pub struct Tlas {
-    pub nodes: Vec<crate::device::layout::Node>,
-}
-impl Tlas {
-    pub fn build(b: &[crate::math::Aabb], slots: &[u32]) -> Tlas {
-        let mut e = Extent::EMPTY;
-        let refs: Vec<Reference> = b
-            .iter()
-            .enumerate()
-            .map(|(i, b)| {
-                let r = Reference::new(b, i as u32);
-                e = e.with(&r);
-                r
-            })
-            .collect();
-        let tree = sah::build(refs, &e, sah::SahParams { max_leaf_size: 1, primitive_cost: 1.0 });
-        let (mut nodes, order) = flatten(&tree);
-        for n in &mut nodes {
-            if n.primitives.count() > 0 {
-                n.primitives = crate::device::layout::PrimitiveRange::leaf(
-                    slots[order[n.primitives.first() as usize] as usize],
-                    1,
-                );
-            }
-        }
-        Tlas { nodes }
-    }
-}
+pub use blas::{Blas, BuildParams};
+pub use sah::MAX_DEPTH;
+pub use stats::Stats;
+pub use tlas::Tlas;
+pub use validate::StructureError;

@@ -9,6 +9,15 @@ use rayon::prelude::*;
 use super::bins::{Binning, Bins, CHUNK, PARALLEL_MINIMUM, Split};
 use super::tree::{BuildNode, BuildTree, Extent, LaneBox, Reference, slot_count};
 
+/// No hierarchy has more levels than this: nodes below level 64 are halved by count, and 2^28 primitives can be halved 28
+/// times.
+pub const MAX_DEPTH: usize = (MAX_SAH_DEPTH + 29) as usize;
+
+const MAX_SAH_DEPTH: u32 = 64;
+
+/// Subtrees of fewer primitives are built by one thread.
+pub(super) const TASK_MINIMUM: usize = 1 << 10;
+
 /// What the heuristic weighs.
 #[derive(Clone, Copy)]
 pub(super) struct SahParams {
@@ -17,28 +26,14 @@ pub(super) struct SahParams {
     pub(super) primitive_cost: f32,
 }
 
-/// Depth from which on nodes are halved by count, whatever the SAH says: with at most 2^28 primitives no tree is deeper
-/// than this plus 28, and recursion over it is safe.
-const MAX_SAH_DEPTH: u32 = 64;
-
-/// Subtrees of fewer primitives are built by one thread.
-const TASK_MINIMUM: usize = 1 << 10;
-
-/// O(n log n) time, 100 bytes a primitive of temporary memory.
-pub(super) fn build(mut references: Vec<Reference>, extent: &Extent, params: SahParams) -> BuildTree {
+/// Builds a tree over references, `extent` being theirs. O(n log n).
+pub(super) fn build(mut references: Vec<Reference>, extent: &Extent, params: &SahParams) -> BuildTree {
     let mut nodes = bytemuck::zeroed_vec(slot_count(references.len()));
     let mut order = bytemuck::zeroed_vec(references.len());
     if !references.is_empty() {
         let mut spare = bytemuck::zeroed_vec(references.len());
-        let root = Task {
-            references: &mut references,
-            spare: &mut spare,
-            nodes: &mut nodes,
-            order: &mut order,
-            extent,
-            depth: 0,
-        };
-        root.run(&params, &mut Bins::EMPTY);
+        let (references, spare, nodes, order) = (&mut *references, &mut *spare, &mut *nodes, &mut *order);
+        Task { references, spare, nodes, order, extent, depth: 0 }.run(&mut Worker::new(params));
     }
     BuildTree { nodes, order }
 }
@@ -46,7 +41,7 @@ pub(super) fn build(mut references: Vec<Reference>, extent: &Extent, params: Sah
 /// A subtree to build.
 struct Task<'a> {
     references: &'a mut [Reference],
-    /// As long as `references`; they are moved here, partitioned, for the children.
+    /// As long as `references`: they are partitioned into it, and the two change places for the children.
     spare: &'a mut [Reference],
     /// The subtree's slots.
     nodes: &'a mut [BuildNode],
@@ -55,78 +50,74 @@ struct Task<'a> {
     depth: u32,
 }
 
-/// What a parent needs of a finished subtree.
-struct Built {
-    node_count: u32,
-    /// Expected cost of a ray that hits the subtree's box, in node visits.
-    cost: f32,
+/// What a thread has at hand.
+struct Worker<'a> {
+    params: &'a SahParams,
+    /// On the heap: recursion is deep and stacks are small.
+    bins: Box<Bins>,
 }
 
-impl Task<'_> {
-    fn run(self, params: &SahParams, bins: &mut Bins) -> Built {
+impl<'a> Worker<'a> {
+    fn new(params: &'a SahParams) -> Self {
+        Self { params, bins: Box::new(Bins::EMPTY) }
+    }
+}
+
+impl<'a> Task<'a> {
+    /// Builds the subtree and returns the number of its nodes. Recursion is at most [`MAX_DEPTH`] deep.
+    fn run(self, worker: &mut Worker) -> u32 {
         let count = self.references.len();
         if count == 1 {
-            return self.make_leaf(params);
+            return self.make_leaf();
         }
+        let can_be_leaf = count <= worker.params.max_leaf_size;
         let scale = unit_scale(&self.extent.bounds);
-        let area = self.extent.bounds.half_area(scale);
-        let leaf_cost = params.primitive_cost * count as f32;
-        match self.find_split(scale, bins) {
-            Some((split, chunks)) => {
-                let split_cost = 2.0 + params.primitive_cost * split.cost / area;
-                if count <= params.max_leaf_size && leaf_cost <= split_cost {
-                    return self.make_leaf(params);
-                }
-                self.split(&split, &chunks, params, bins)
-            }
-            None if count <= params.max_leaf_size => self.make_leaf(params),
-            None => self.halve(params, bins),
+        match self.find_split(scale, worker) {
+            Some((split, _)) if can_be_leaf && self.is_leaf_cheaper(&split, scale, worker.params) => self.make_leaf(),
+            Some((split, chunks)) => self.split(&split, &chunks, worker),
+            None if can_be_leaf => self.make_leaf(),
+            None => self.halve(worker),
         }
     }
 
-    /// The best split, and the bins of each chunk where the node is large. `None` where the SAH has nothing to say: all
-    /// centres coincide, the box has no area, or the tree is too deep.
-    fn find_split(&self, scale: f32, bins: &mut Bins) -> Option<(Split, Vec<Bins>)> {
+    /// The best split, and the bins of each chunk where the node is large. `None` where the heuristic has nothing to say:
+    /// all centres coincide, no area is finite, or the tree is too deep.
+    fn find_split(&self, scale: f32, worker: &mut Worker) -> Option<(Split, Vec<Bins>)> {
         if self.depth >= MAX_SAH_DEPTH {
             return None;
         }
         let binning = Binning::new(self.extent, self.references.len())?;
-        if self.references.len() < PARALLEL_MINIMUM {
-            bins.fill(self.references, &binning);
-            Some((bins.best_split(&binning, scale)?, Vec::new()))
+        let chunks = if self.references.len() < PARALLEL_MINIMUM {
+            worker.bins.fill(self.references, &binning);
+            Vec::new()
         } else {
-            let chunks = bins.fill_by_chunks(self.references, &binning);
-            Some((bins.best_split(&binning, scale)?, chunks))
-        }
+            worker.bins.fill_by_chunks(self.references, &binning)
+        };
+        Some((worker.bins.best_split(&binning, scale)?, chunks))
     }
 
-    fn split(self, split: &Split, chunks: &[Bins], params: &SahParams, bins: &mut Bins) -> Built {
-        let [left, right] = if chunks.is_empty() {
+    /// An inner node costs the fetch of both children, even of one that the ray then misses.
+    fn is_leaf_cheaper(&self, split: &Split, scale: f32, params: &SahParams) -> bool {
+        let inner_cost = 2.0 + params.primitive_cost * split.cost / self.extent.bounds.half_area(scale);
+        params.primitive_cost * self.references.len() as f32 <= inner_cost
+    }
+
+    fn split(self, split: &Split, chunks: &[Bins], worker: &mut Worker) -> u32 {
+        let [left_centers, right_centers] = if chunks.is_empty() {
             partition(self.references, self.spare, split)
         } else {
             partition_chunks(self.references, self.spare, split, chunks)
         };
-        let left = Extent { bounds: split.left, centers: left };
-        let right = Extent { bounds: split.right, centers: right };
-        Task { references: self.spare, spare: self.references, ..self }.recurse(
-            split.left_count,
-            &left,
-            &right,
-            params,
-            bins,
-        )
+        let left = Extent { bounds: split.left, centers: left_centers };
+        let right = Extent { bounds: split.right, centers: right_centers };
+        let partitioned = Self { references: self.spare, spare: self.references, ..self };
+        partitioned.recurse(split.left_count, &left, &right, worker)
     }
 
-    /// Two halves of equal count along the longest axis.
-    fn halve(self, params: &SahParams, bins: &mut Bins) -> Built {
+    /// Splits into two halves of equal count along the longest axis.
+    fn halve(self, worker: &mut Worker) -> u32 {
         let width = self.extent.centers.max - self.extent.centers.min;
-        let axis = if width.x >= width.y && width.x >= width.z {
-            0
-        } else if width.y >= width.z {
-            1
-        } else {
-            2
-        };
+        let axis = if width.x >= width.y && width.x >= width.z { 0 } else { 1 + usize::from(width.z > width.y) };
         let middle = self.references.len() / 2;
         self.references.select_nth_unstable_by(middle, |a, b| {
             let key = |r: &Reference| r.doubled_center()[axis];
@@ -134,58 +125,52 @@ impl Task<'_> {
         });
         let (left, right) = self.references.split_at(middle);
         let (left, right) = (Extent::of(left), Extent::of(right));
-        self.recurse(middle, &left, &right, params, bins)
+        self.recurse(middle, &left, &right, worker)
     }
 
-    fn recurse(self, left_count: usize, left: &Extent, right: &Extent, params: &SahParams, bins: &mut Bins) -> Built {
-        let count = self.references.len();
+    fn recurse(self, left_count: usize, left: &Extent, right: &Extent, worker: &mut Worker) -> u32 {
+        let is_large = self.references.len() >= TASK_MINIMUM;
         let (root, slots) = self.nodes.split_at_mut(1);
         let (left_nodes, right_nodes) = slots.split_at_mut(slot_count(left_count));
         let (left_order, right_order) = self.order.split_at_mut(left_count);
         let (left_references, right_references) = self.references.split_at_mut(left_count);
         let (left_spare, right_spare) = self.spare.split_at_mut(left_count);
-        let depth = self.depth + 1;
-        let left_task = Task {
-            references: left_references,
-            spare: left_spare,
-            nodes: left_nodes,
-            order: left_order,
-            extent: left,
-            depth,
+        let task = |references, spare, nodes, order, extent| Task {
+            references,
+            spare,
+            nodes,
+            order,
+            extent,
+            depth: self.depth + 1,
         };
-        let right_task = Task {
-            references: right_references,
-            spare: right_spare,
-            nodes: right_nodes,
-            order: right_order,
-            extent: right,
-            depth,
-        };
-        let (left_built, right_built) = if count >= TASK_MINIMUM {
-            rayon::join(|| left_task.run(params, bins), || right_task.run(params, &mut Bins::EMPTY))
+        let left = task(left_references, left_spare, left_nodes, left_order, left);
+        let right = task(right_references, right_spare, right_nodes, right_order, right);
+        let (left_nodes, right_nodes) = if is_large {
+            let params = worker.params;
+            rayon::join(|| left.run(worker), || right.run(&mut Worker::new(params)))
         } else {
-            (left_task.run(params, bins), right_task.run(params, bins))
+            (left.run(worker), right.run(worker))
         };
-        let node_count = 1 + left_built.node_count + right_built.node_count;
+        let node_count = 1 + left_nodes + right_nodes;
         root[0] = BuildNode::new(&self.extent.bounds, node_count, left_count as u32);
-        Built { node_count, cost: 0.0 }
+        node_count
     }
 
-    fn make_leaf(self, params: &SahParams) -> Built {
-        self.nodes[0] = BuildNode::new(&self.extent.bounds, 1, 0);
+    fn make_leaf(self) -> u32 {
         for (slot, reference) in self.order.iter_mut().zip(self.references.iter()) {
             *slot = reference.primitive();
         }
-        Built { node_count: 1, cost: params.primitive_cost * self.order.len() as f32 }
+        self.nodes[0] = BuildNode::new(&self.extent.bounds, 1, 0);
+        1
     }
 }
 
-/// The power of two that brings the longest side of a box to between 1 and 2, or something useless for a box without a
-/// side of normal length.
+/// The power of two that brings the longest side of a box to between 1 and 2, so that areas neither overflow nor vanish;
+/// infinite or zero for a box without a side of normal length.
 fn unit_scale(bounds: &LaneBox) -> f32 {
     let side = bounds.max - bounds.min;
     let longest = side.x.max(side.y).max(side.z);
-    1.0 / f32::from_bits(longest.to_bits() & 0x7f80_0000)
+    1.0 / f32::from_bits(longest.to_bits() & f32::INFINITY.to_bits())
 }
 
 /// Moves the references to `target`, those left of the split first, both sides in their old order. Returns the boxes of
@@ -219,12 +204,12 @@ fn scatter(source: &[Reference], left: &mut [Reference], right: &mut [Reference]
     for reference in source {
         let center = reference.doubled_center();
         let side = usize::from(split.is_right(center));
-        // Infinitely far out on the side that the reference does not go to, so that it leaves those bounds as they are.
-        let out = Vec4::splat([f32::NEG_INFINITY, f32::INFINITY][side]);
-        left_centers.min = left_centers.min.min(center.max(out));
-        left_centers.max = left_centers.max.max(center.min(-out));
-        right_centers.min = right_centers.min.min(center.max(-out));
-        right_centers.max = right_centers.max.max(center.min(out));
+        // Clamped to infinity for the side that the reference does not go to, so that it leaves those bounds as they are.
+        let away = Vec4::splat([f32::NEG_INFINITY, f32::INFINITY][side]);
+        left_centers.min = left_centers.min.min(center.max(away));
+        left_centers.max = left_centers.max.max(center.min(-away));
+        right_centers.min = right_centers.min.min(center.max(-away));
+        right_centers.max = right_centers.max.max(center.min(away));
         targets[side][next[side]] = *reference;
         next[side] += 1;
     }

@@ -126,6 +126,6 @@ impl Extent {
     }
 
     pub(super) fn of(references: &[Reference]) -> Self {
-        references.iter().fold(Self::EMPTY, |extent, reference| extent.with(reference))
+        references.iter().fold(Self::EMPTY, Self::with)
     }
 }

@@ -5,13 +5,15 @@
 //! by the objects, however often they change and however far a consumer lags. Merging costs no more than the read that
 //! allowed it.
 
-use std::collections::{HashMap, VecDeque};
+use std::collections::{HashMap, HashSet, VecDeque};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Weak};
 
 use slotmap::SecondaryMap;
 
+use super::validate::check;
 use super::{CoreKey, GeometryKey, MaterialKey, NodeKey, Object, SceneId, TextureKey};
+use crate::Result;
 
 bitflags::bitflags! {
     /// What changed in an object. [`ADDED`](Self::ADDED) and [`REMOVED`](Self::REMOVED) stand alone: they say it all.
@@ -180,6 +182,25 @@ impl ChangeLog {
         self.positions().into_iter().min().unwrap_or(u64::MAX)
     }
 
+    /// Checks that each cursor stands at a segment, and that no segment has two entries for an object.
+    pub(super) fn validate(&self, root: NodeKey) -> Result<()> {
+        let rising = self.segments.iter().is_sorted_by(|a, b| a.start < b.start);
+        check(rising, root, "the log is out of order")?;
+        let at_segment = |position: &u64| self.segments.iter().any(|segment| segment.start == *position);
+        check(self.positions().iter().all(at_segment), root, "a cursor is not at the start of a segment")?;
+        for segment in &self.segments {
+            let mut seen = HashSet::new();
+            for (place, &(object, _)) in segment.entries.iter().enumerate() {
+                check(seen.insert(object), object, "it has two entries in one segment of the log")?;
+                let found = segment.index.is_empty() || segment.index.get(&object) == Some(&place);
+                check(found, object, "the log's index does not find it")?;
+            }
+            let dead = segment.entries.iter().filter(|(_, change)| change.is_empty()).count();
+            check(dead == segment.dead, root, "the log miscounts what came and went")?;
+        }
+        Ok(())
+    }
+
     fn positions(&self) -> Vec<u64> {
         self.cursors.iter().filter_map(|cursor| Some(cursor.upgrade()?.load(Ordering::Relaxed))).collect()
     }
@@ -285,5 +306,73 @@ impl Places {
         for (place, &(object, _)) in entries.iter().enumerate() {
             self.set(object, place);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use slotmap::SlotMap;
+
+    use super::*;
+    use crate::Scene;
+
+    fn entry_count(log: &ChangeLog) -> usize {
+        log.segments.iter().map(|segment| segment.entries.len()).sum()
+    }
+
+    #[test]
+    fn without_cursors_nothing_is_stored() {
+        let mut keys: SlotMap<NodeKey, ()> = SlotMap::with_key();
+        let (mut log, scene) = (ChangeLog::default(), Scene::new().id());
+        log.record(keys.insert(()).into(), Change::ADDED);
+        assert_eq!(entry_count(&log), 0);
+
+        let mut cursor = Cursor::default();
+        assert_eq!(log.read(scene, &mut cursor), Changes::Everything);
+        log.record(keys.insert(()).into(), Change::ADDED);
+        assert_eq!(entry_count(&log), 1);
+
+        drop(cursor);
+        log.record(keys.insert(()).into(), Change::ADDED);
+        assert!(log.segments.is_empty());
+    }
+
+    /// One consumer never reads again, one reads after each edit, others come and go.
+    #[test]
+    fn a_lagging_consumer_costs_one_entry_an_object() {
+        let mut keys: SlotMap<NodeKey, ()> = SlotMap::with_key();
+        let objects: Vec<Object> = (0..10).map(|_| keys.insert(()).into()).collect();
+        let (mut log, scene) = (ChangeLog::default(), Scene::new().id());
+        let (mut lagging, mut eager) = (Cursor::default(), Cursor::default());
+        assert_eq!(log.read(scene, &mut lagging), Changes::Everything);
+        assert_eq!(log.read(scene, &mut eager), Changes::Everything);
+
+        for round in 0..1000 {
+            let object = objects[round * 7 % objects.len()];
+            log.record(object, Change::MASK);
+            let visitor: Object = keys.insert(()).into();
+            log.record(visitor, Change::ADDED);
+            let mut passing = Cursor::default();
+            assert_eq!(log.read(scene, &mut passing), Changes::Everything);
+            log.record(visitor, Change::REMOVED);
+            assert_eq!(log.read(scene, &mut eager), Changes::Since(vec![(object, Change::MASK)]));
+            log.validate(NodeKey::default()).unwrap();
+            assert!(log.segments.len() <= 4, "{} segments", log.segments.len());
+            assert!(entry_count(&log) <= 2 * objects.len() + 4, "{} entries", entry_count(&log));
+        }
+        let Changes::Since(all) = log.read(scene, &mut lagging) else { panic!("it has read before") };
+        assert_eq!(all.len(), objects.len());
+    }
+
+    #[test]
+    fn a_cursor_follows_its_consumer_to_another_scene() {
+        let (mut one, mut other) = (Scene::new(), Scene::new());
+        let mut cursor = one.subscribe();
+        assert_eq!(one.changes_since(&mut cursor), Changes::Everything);
+        assert_eq!(other.changes_since(&mut cursor), Changes::Everything);
+        assert_eq!(other.changes_since(&mut cursor), Changes::Since(vec![]));
+        one.set_mask(one.root(), 1).unwrap();
+        assert!(one.log.segments.is_empty(), "the cursor has left");
+        assert_eq!(one.changes_since(&mut cursor), Changes::Everything);
     }
 }

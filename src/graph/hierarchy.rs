@@ -163,6 +163,23 @@ impl Hierarchy {
         }
     }
 
+    /// The first node that the two show differently, to the last bit of its world transform.
+    pub(super) fn first_difference(&self, other: &Self) -> Option<NodeKey> {
+        let bits = |world: &DAffine3| world.to_cols_array().map(f64::to_bits);
+        let same = |i: usize| {
+            i < self.nodes.len()
+                && self.nodes.get(i) == other.nodes.get(i)
+                && self.parents[i] == other.parents[i]
+                && self.subtree_ends[i] == other.subtree_ends[i]
+                && bits(&self.worlds[i]) == bits(&other.worlds[i])
+                && self.masks[i] == other.masks[i]
+                && self.visible[i] == other.visible[i]
+                && self.index(self.nodes[i]) == Some(i)
+        };
+        let longer = if self.nodes.len() < other.nodes.len() { other } else { self };
+        (0..longer.nodes.len()).find(|&i| !same(i)).map(|i| longer.nodes[i])
+    }
+
     fn rebuild(&mut self, root: NodeKey, nodes: &SlotMap<NodeKey, Node>, cores: &SlotMap<CoreKey, CoreSlot>) {
         self.clear(nodes.len());
         let (mut current, mut parent) = (root, Self::NO_PARENT);

@@ -6,6 +6,7 @@ use super::math::{dot3, max, min};
 use crate::device::layout::{Node, Triangle};
 
 const BOX_SLACK: f32 = 1.0 - 1.0 / (1 << 18) as f32;
+const CORNER_TOLERANCE: f32 = 1.0 / (1 << 22) as f32;
 const EDGE_TOLERANCE: f32 = 1.0 / (1 << 21) as f32;
 
 /// A ray as boxes see it.
@@ -33,6 +34,10 @@ pub(super) struct Crossing {
     pub v: f32,
     /// The ray came from the side where the triangle winds clockwise.
     pub back: bool,
+}
+
+fn min_component(v: Vec3) -> f32 {
+    min(min(v.x, v.y), v.z)
 }
 
 pub(super) fn max_component(v: Vec3) -> f32 {
@@ -99,19 +104,26 @@ pub(super) fn cross_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<Cros
     let y = Vec3::new(dot3(ray.y_row, a), dot3(ray.y_row, b), dot3(ray.y_row, c));
     let t = Vec3::new(dot3(ray.t_row, a), dot3(ray.t_row, b), dot3(ray.t_row, c));
 
-    // 1. Edge functions: twice the areas that the ray cuts the sheared triangle into.
+    let depth = max(-min_component(t), max_component(t)) * ray.depth_scale;
+
+    // 1. Beside the triangle by more than rounding can explain?
+    let (x_least, x_greatest) = (min_component(x), max_component(x));
+    let (y_least, y_greatest) = (min_component(y), max_component(y));
+    let (x_extent, y_extent) = (max(-x_least, x_greatest), max(-y_least, y_greatest));
+    let x_tolerance = CORNER_TOLERANCE * (depth + x_extent);
+    let y_tolerance = CORNER_TOLERANCE * (depth + y_extent);
+    if x_least > x_tolerance || x_greatest < -x_tolerance || y_least > y_tolerance || y_greatest < -y_tolerance {
+        return None;
+    }
+
+    // 2. Outside of an edge by more than that? Edge functions are twice the areas that the ray cuts the triangle into.
     let mut weights = Vec3::new(x.z * y.y - y.z * x.y, x.x * y.z - y.x * x.z, x.y * y.x - y.y * x.x);
     let back = (weights.x + weights.y) + weights.z < 0.0;
     if back {
         weights = -weights;
     }
-
-    // 2. Outside by more than rounding can explain?
-    let x_extent = max_component(x.abs());
-    let y_extent = max_component(y.abs());
-    let depth = max_component(t.abs()) * ray.depth_scale;
     let tolerance = EDGE_TOLERANCE * (depth * (x_extent + y_extent) + 4.0 * (x_extent * y_extent));
-    if min(min(weights.x, weights.y), weights.z) < -tolerance {
+    if min_component(weights) < -tolerance {
         return None;
     }
 
@@ -122,6 +134,6 @@ pub(super) fn cross_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<Cros
         return None;
     }
     weights *= 1.0 / area;
-    let t_hit = min(max(dot3(weights, t), min(min(t.x, t.y), t.z)), max_component(t));
+    let t_hit = min(max(dot3(weights, t), min_component(t)), max_component(t));
     Some(Crossing { t: t_hit, u: weights.y, v: weights.z, back })
 }
