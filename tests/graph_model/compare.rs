@@ -70,7 +70,7 @@ fn objects(scene: &Scene, model: &Model) {
         Core::Geometry { geometry, .. } => Some(model.geometries[geometry].indices.len() as u64),
         _ => None,
     });
-    assert_eq!(scene.instanced_triangle_count(), shown.sum());
+    assert_eq!(scene.instanced_triangle_count(), shown.sum::<u64>());
 }
 
 fn stale_keys(scene: &Scene, model: &Model, issued: &Issued) {
