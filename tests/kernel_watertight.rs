@@ -5,7 +5,7 @@
 mod kernel_support;
 
 use glam::{DAffine3, DQuat, DVec3, Vec3};
-use kernel_support::{Mesh, Placed, Random, arrays};
+use kernel_support::{Mesh, Placed, Random, arrays, tracers};
 use ropewalk::device::DeviceArrays;
 use ropewalk::device::layout::{NONE, Ray};
 use ropewalk::trace::{Cpu, Emulated, Tracer};
@@ -81,11 +81,18 @@ fn no_ray_escapes_closed_meshes_cpu() {
     no_ray_escapes_closed_meshes(&mut Cpu::default());
 }
 
+#[cfg(feature = "gpu")]
+#[test]
+fn no_ray_escapes_closed_meshes_gpu() {
+    if let Some(mut gpu) = kernel_support::gpu::tracer() {
+        no_ray_escapes_closed_meshes(&mut gpu);
+    }
+}
+
 /// Traces rays that must all hit at a t that `is_right` accepts.
 fn all_hit(arrays: &mut DeviceArrays, rays: &[Ray], is_right: impl Fn(f32) -> bool) {
     assert!(!rays.is_empty());
-    let mut tracers: [Box<dyn Tracer>; 2] = [Box::new(Emulated::default()), Box::new(Cpu::default())];
-    for tracer in &mut tracers {
+    for tracer in &mut tracers() {
         tracer.upload(arrays).unwrap();
         let hits = tracer.closest_hits(arrays, rays, 1).unwrap();
         let blocked = tracer.any_hits(arrays, rays, 1).unwrap();
