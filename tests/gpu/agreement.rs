@@ -4,7 +4,7 @@ use ropewalk::device::layout::{Hit, NONE};
 use ropewalk::trace::{Cpu, Emulated, Tracer};
 
 use crate::soup::{Random, rays, soup};
-use crate::tracer;
+use crate::support::tracer;
 
 /// Two executors may name different triangles for a ray only where both hits are this near, relative to their distance:
 /// GPUs may contract products into fused ones and divide to 2.5 ulp, which moves a distance by a few ulp (2^-23 each) of the

@@ -5,7 +5,7 @@ use ropewalk::trace::Tracer as _;
 use ropewalk::trace::gpu::{Adapters, GpuOptions, GpuTracer, required_limits, wanted_features};
 
 use crate::soup::{Random, rays, soup};
-use crate::{tracer, usable};
+use crate::support::{tracer, usable};
 
 #[test]
 fn an_adapter_serves() {

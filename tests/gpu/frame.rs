@@ -7,7 +7,7 @@ use ropewalk::{Error, image::Image};
 
 use crate::device::limited;
 use crate::soup::{Random, params, soup};
-use crate::tracer;
+use crate::support::tracer;
 
 pub(crate) fn request(width: u32, height: u32, aovs: bool) -> FrameRequest {
     FrameRequest { params: params(width, height), needs: Needs::empty(), aovs }

@@ -9,7 +9,7 @@ use ropewalk::trace::{Emulated, Tracer as _};
 
 use crate::device::limited;
 use crate::soup::{Random, TRIANGLES_A_LEAF, link, rays, set_instance, soup};
-use crate::tracer;
+use crate::support::tracer;
 
 #[test]
 fn the_first_upload_copies_all_and_the_second_nothing() {
