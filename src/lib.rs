@@ -4,6 +4,7 @@ pub mod accel;
 pub mod compile;
 pub mod device;
 mod error;
+pub mod gltf;
 pub mod graph;
 pub mod image;
 pub mod math;

@@ -97,17 +97,23 @@ fn keeping_the_world_below_equal_worlds_changes_no_transform() {
 fn no_world_can_be_kept_below_a_singular_one() {
     let mut scene = Scene::new();
     let node = scene.add(scene.root(), Transform::from_translation(X)).unwrap();
-    let flat = scene.add(scene.root(), Transform::from_scale(DVec3::new(1.0, 0.0, 1.0))).unwrap();
-    // Rotations hide the zero: the determinant is a rounding error.
-    let turn = DQuat::from_axis_angle(DVec3::new(1.0, 2.0, 3.0).normalize(), 1.0);
-    let turned = scene.add(flat, Transform::from_rotation(turn)).unwrap();
+    let turn = |angle: f64| DQuat::from_axis_angle(DVec3::new(1.0, 2.0, 3.0).normalize(), angle);
+    let turned = scene.add(scene.root(), Transform::from_rotation(turn(1.0))).unwrap();
+    let flat = scene.add(turned, Transform::from_scale(DVec3::new(1.0, 0.0, 1.0))).unwrap();
+    let mut parents = vec![flat];
+    // Rotations on both sides hide the zero: the determinant of some is a rounding error.
+    for angle in 1..20 {
+        parents.push(scene.add(flat, Transform::from_rotation(turn(f64::from(angle)))).unwrap());
+    }
+    assert!(parents.iter().any(|&parent| scene.world(parent).unwrap().matrix3.determinant() != 0.0));
     let vast = scene.add(scene.root(), Transform::from_scale(DVec3::splat(1e200))).unwrap();
     let infinite = scene.add(vast, Transform::from_scale(DVec3::splat(1e200))).unwrap();
-    for parent in [flat, turned, infinite] {
+    parents.push(infinite);
+    for parent in parents {
         let is_singular = |error: &Error| matches!(error, Error::Singular { node } if *node == parent.into());
         assert_fails(&mut scene, |scene| scene.reparent(node, parent, Keep::World), is_singular);
     }
-    scene.reparent(node, turned, Keep::Local).unwrap();
+    scene.reparent(node, flat, Keep::Local).unwrap();
 }
 
 #[test]

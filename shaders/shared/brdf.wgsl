@@ -2,15 +2,14 @@
 // src/trace/kernel/brdf.rs.
 
 const PI: f32 = 3.14159265358979;
-// Roughness below which a surface is a mirror, and above which nothing is seen in it.
+// Roughness up to which a surface is a mirror. Above MAX_MIRROR_ROUGHNESS, a constant of the compiler's, nothing is seen in it.
 const MIRROR_ROUGHNESS: f32 = 0.1;
-const BLURRED_ROUGHNESS: f32 = 0.45;
 // Punctual lights have no size, and a polished surface would show none: they are seen in it as in this roughness.
 const HIGHLIGHT_ROUGHNESS: f32 = 0.1;
 
 // How much of a surface's reflection is traced, 1 for a mirror; the rest is blurred sky.
 fn sharpness(roughness: f32) -> f32 {
-    let x = clamp((BLURRED_ROUGHNESS - roughness) * (1.0 / (BLURRED_ROUGHNESS - MIRROR_ROUGHNESS)), 0.0, 1.0);
+    let x = clamp((MAX_MIRROR_ROUGHNESS - roughness) * (1.0 / (MAX_MIRROR_ROUGHNESS - MIRROR_ROUGHNESS)), 0.0, 1.0);
     return (x * x) * (3.0 - 2.0 * x);
 }
 

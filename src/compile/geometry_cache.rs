@@ -42,8 +42,6 @@ pub(super) struct Entry {
     colors: Range<u32>,
     /// Of its triangles, local space.
     pub(super) bounds: Aabb,
-    /// Whether it has vertex colours.
-    pub(super) has_colors: bool,
 }
 
 /// What [`GeometryCache::update`] did.
@@ -150,7 +148,6 @@ impl GeometryCache {
             indices,
             normals,
             tex_coords,
-            has_colors: !colors.is_empty(),
             colors,
             bounds: blas.bounds,
         })

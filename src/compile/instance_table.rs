@@ -107,9 +107,7 @@ impl InstanceTable {
         if !std::mem::take(&mut self.tlas_stale) {
             return false;
         }
-        let hittable = self.boxes.iter().zip(&self.slots).filter(|(bounds, _)| !bounds.is_empty());
-        let (boxes, slots): (Vec<Aabb>, Vec<u32>) = hittable.map(|(&b, &s)| (b, s)).unzip();
-        arrays.tlas_nodes.replace(&Tlas::build(&boxes, &slots).nodes);
+        arrays.tlas_nodes.replace(&Tlas::build(&self.boxes, &self.slots).nodes);
         true
     }
 

@@ -1,6 +1,7 @@
 //! A set of small numbers that gives them back in order.
 
-/// A set of numbers below its capacity: one bit each, and one for each word that has any, so that a sparse set is drained quickly.
+/// A set of numbers below its capacity: one bit each, and one for each word that has any, so that a sparse set is
+/// drained quickly.
 #[derive(Debug)]
 pub(super) struct BitSet {
     words: Vec<u64>,
@@ -73,6 +74,10 @@ mod tests {
         set.drain(|number| drained.push(number));
         assert_eq!(drained, numbers);
         assert!(set.is_empty());
-        set.drain(|number| panic!("{number} was still there"));
+
+        set.insert(5);
+        drained.clear();
+        set.drain(|number| drained.push(number));
+        assert_eq!(drained, [5]);
     }
 }

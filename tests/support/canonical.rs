@@ -5,7 +5,7 @@ use ropewalk::device::layout::{Instance, Light, Material, NONE, Node, Streams, T
 
 /// Everything that a kernel can reach in some arrays, with places replaced by contents. Compares bit by bit.
 #[derive(Debug, PartialEq)]
-pub struct Canonical {
+pub(crate) struct Canonical {
     /// The top level, instances renumbered in the order of its leaves.
     tlas_nodes: Vec<u8>,
     instances: Vec<CanonicalInstance>,
@@ -26,7 +26,7 @@ struct CanonicalInstance {
 
 impl Canonical {
     /// The canonical form of compiled arrays.
-    pub fn of(arrays: &DeviceArrays) -> Self {
+    pub(crate) fn of(arrays: &DeviceArrays) -> Self {
         let mut tlas_nodes: Vec<Node> = arrays.tlas_nodes.to_vec();
         let mut instances = Vec::new();
         for node in &mut tlas_nodes {
@@ -40,7 +40,7 @@ impl Canonical {
     }
 
     /// The first part that differs, by name; `None` if nothing does.
-    pub fn difference(&self, other: &Self) -> Option<String> {
+    pub(crate) fn difference(&self, other: &Self) -> Option<String> {
         if self.tlas_nodes != other.tlas_nodes {
             return Some("tlas_nodes".to_owned());
         }
@@ -63,7 +63,7 @@ impl Canonical {
     }
 
     /// How many instances can be reached.
-    pub fn instance_count(&self) -> usize {
+    pub(crate) fn instance_count(&self) -> usize {
         self.instances.len()
     }
 }

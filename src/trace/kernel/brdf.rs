@@ -8,16 +8,16 @@ use glam::{Vec3, Vec4Swizzles as _};
 use super::material::normal_reflectance;
 use super::math::{dot3, max, mix3};
 use super::surface::{GRAZING, Surface, unit_or};
+use crate::compile::MAX_MIRROR_ROUGHNESS;
 
-/// Roughness below which a surface is a mirror, and above which nothing is seen in it.
+/// Roughness up to which a surface is a mirror. Above [`MAX_MIRROR_ROUGHNESS`] nothing is seen in it.
 const MIRROR_ROUGHNESS: f32 = 0.1;
-const BLURRED_ROUGHNESS: f32 = 0.45;
 /// Punctual lights have no size, and a polished surface would show none: they are seen in it as in this roughness.
 const HIGHLIGHT_ROUGHNESS: f32 = 0.1;
 
 /// How much of a surface's reflection is traced, 1 for a mirror; the rest is blurred sky.
 pub(crate) fn sharpness(roughness: f32) -> f32 {
-    let x = ((BLURRED_ROUGHNESS - roughness) * (1.0 / (BLURRED_ROUGHNESS - MIRROR_ROUGHNESS))).clamp(0.0, 1.0);
+    let x = ((MAX_MIRROR_ROUGHNESS - roughness) * (1.0 / (MAX_MIRROR_ROUGHNESS - MIRROR_ROUGHNESS))).clamp(0.0, 1.0);
     (x * x) * (3.0 - 2.0 * x)
 }
 

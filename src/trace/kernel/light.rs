@@ -26,7 +26,7 @@ struct Arrival {
 /// What a surface reflects to the viewer of all lights, shadows included.
 pub(crate) fn direct_light(scene: &KernelScene<'_>, params: &FrameParams, surface: &Surface, to_viewer: Vec3) -> Vec3 {
     let mut sum = Vec3::ZERO;
-    for light in &scene.lights[..params.light_count as usize] {
+    for light in scene.lights.iter().take(params.light_count as usize) {
         let arrival = light_at(light, surface);
         let facing = dot3(surface.geometric_normal, arrival.direction);
         if facing < GRAZING || max_component(arrival.irradiance) <= 0.0 {

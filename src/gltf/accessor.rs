@@ -1,0 +1,328 @@
+//! Accessors: typed arrays in buffers, read by our own code. Every accessor of a file is checked before any is read, so
+//! that reading cannot leave its buffer.
+
+use bytemuck::{Pod, Zeroable};
+
+use super::format::{Component, Format};
+use super::{Budget, Buffers, Document};
+use crate::Result;
+
+/// All accessors of a file, checked.
+pub(super) struct Accessors<'a> {
+    elements: Vec<Elements<'a>>,
+}
+
+/// What one accessor reads.
+#[derive(Clone, Debug)]
+pub(super) struct Elements<'a> {
+    /// The accessor's index in the file.
+    index: usize,
+    /// Number of elements.
+    pub(super) count: usize,
+    /// Shape of an element; `None` for one that glTF does not know, which no one can read.
+    format: Option<Format>,
+    data: Data<'a>,
+    sparse: Option<Sparse<'a>>,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Data<'a> {
+    /// Element `i` starts at byte `i * stride`.
+    Strided { bytes: &'a [u8], stride: usize },
+    /// There is no buffer view: all elements are zero.
+    Zero,
+    /// The buffer has no data: nothing can be read.
+    Missing,
+}
+
+/// Elements that replace those at `indices`, which ascend.
+#[derive(Clone, Debug)]
+struct Sparse<'a> {
+    indices: Vec<u32>,
+    values: &'a [u8],
+}
+
+/// Which elements to read.
+#[derive(Clone, Copy)]
+pub(super) enum Selection<'a> {
+    All,
+    /// Ascending, each below the accessor's count.
+    Only(&'a [u32]),
+}
+
+impl<'a> Accessors<'a> {
+    /// Checks that every accessor lies within its buffer views, and reads the sparse indices. O(accessors + sparse indices).
+    pub(super) fn new(document: &Document, buffers: &'a Buffers, budget: &mut Budget) -> Result<Self> {
+        let check = |index| Elements::new(document, buffers, budget, index);
+        let elements = (0..document.accessors.len()).map(check).collect::<Result<_>>()?;
+        Ok(Self { elements })
+    }
+
+    /// The elements of an accessor.
+    pub(super) fn get(&self, index: usize) -> &Elements<'a> {
+        &self.elements[index]
+    }
+
+    /// For each accessor the first one that reads the same bytes in the same way: itself, where there is no other.
+    pub(super) fn same_as(&self, document: &Document, buffers: &Buffers) -> Vec<usize> {
+        let mut first = std::collections::HashMap::new();
+        let place = |view: usize, offset: u64| {
+            let (buffer, start) = buffers.place(document, view);
+            (buffer, start + offset)
+        };
+        let identity = |(i, elements): (usize, &Elements)| {
+            let accessor = &document.accessors[i];
+            let data = accessor.buffer_view.map(|v| place(v.value(), accessor.byte_offset.map_or(0, |o| o.0)));
+            let stride = match elements.data {
+                Data::Strided { stride, .. } => stride,
+                Data::Zero | Data::Missing => 0,
+            };
+            let sparse = accessor.sparse.as_ref().map(|sparse| {
+                let indices = place(sparse.indices.buffer_view.value(), sparse.indices.byte_offset.0);
+                let values = place(sparse.values.buffer_view.value(), sparse.values.byte_offset.0);
+                (sparse.count.0, indices, Component::of_indices(&sparse.indices.component_type), values)
+            });
+            // An accessor of unknown format is like no other.
+            let unknown = elements.format.is_none().then_some(i);
+            *first.entry((unknown, elements.format, elements.count, data, stride, sparse)).or_insert(i)
+        };
+        self.elements.iter().enumerate().map(identity).collect()
+    }
+}
+
+impl<'a> Elements<'a> {
+    fn new(document: &Document, buffers: &'a Buffers, budget: &mut Budget, index: usize) -> Result<Self> {
+        let accessor = &document.accessors[index];
+        let fault = |cause: String| document.fault(format!("/accessors/{index}"), cause);
+        let count = usize::try_from(accessor.count.0).map_err(|_| fault("its count is beyond all memory".into()))?;
+        let mut elements = Self { index, count, format: Format::of(accessor), data: Data::Zero, sparse: None };
+        let Some(format) = elements.format else { return Ok(elements) };
+
+        if let Some(view) = accessor.buffer_view {
+            let view = view.value();
+            let stride = document.views[view].byte_stride.map_or(format.stride(), |s| s.0);
+            let offset = accessor.byte_offset.map_or(0, |o| o.0);
+            check_extent(document, view, offset, count, stride, format.size()).map_err(fault)?;
+            if buffers.has_data(document, view) {
+                // The extent fits into the view, so the offset fits into memory.
+                let bytes = &buffers.view(document, view)?[offset as usize..];
+                elements.data = Data::Strided { bytes, stride };
+            } else {
+                elements.data = Data::Missing;
+            }
+        }
+        elements.add_sparse(document, buffers, budget, format)?;
+        Ok(elements)
+    }
+
+    fn add_sparse(
+        &mut self,
+        document: &Document,
+        buffers: &'a Buffers,
+        budget: &mut Budget,
+        format: Format,
+    ) -> Result<()> {
+        let Some(sparse) = &document.accessors[self.index].sparse else { return Ok(()) };
+        let object = || format!("/accessors/{}/sparse", self.index);
+        let fault = |cause: String| document.fault(object(), cause);
+        let count = usize::try_from(sparse.count.0).ok().filter(|&c| c <= self.count);
+        let Some(count) = count else {
+            return Err(fault(format!("its count is {}, but the accessor has {}", sparse.count.0, self.count)));
+        };
+        let Some(component) = Component::of_indices(&sparse.indices.component_type) else {
+            return Err(fault("its indices are of an unknown type".into()));
+        };
+        let (indices, values) = (sparse.indices.buffer_view.value(), sparse.values.buffer_view.value());
+        let (index_offset, value_offset) = (sparse.indices.byte_offset.0, sparse.values.byte_offset.0);
+        let index_size = component.size();
+        check_extent(document, indices, index_offset, count, index_size, index_size).map_err(fault)?;
+        check_extent(document, values, value_offset, count, format.stride(), format.size()).map_err(fault)?;
+        if !buffers.has_data(document, indices) || !buffers.has_data(document, values) {
+            self.data = Data::Missing;
+            return Ok(());
+        }
+
+        budget.charge(count, size_of::<u32>(), document, object)?;
+        let bytes = &buffers.view(document, indices)?[index_offset as usize..];
+        let indices: Vec<u32> = match component {
+            Component::U8 => bytes[..count].iter().map(|&b| b.into()).collect(),
+            Component::U16 => components(bytes, |b| u16::from_le_bytes(b).into()).take(count).collect(),
+            _ => components(bytes, u32::from_le_bytes).take(count).collect(),
+        };
+        if let Some(&last) = indices.last().filter(|&&last| last as usize >= self.count) {
+            return Err(fault(format!("replaces element {last}, but the accessor has {}", self.count)));
+        }
+        if !indices.is_sorted_by(|a, b| a < b) {
+            return Err(fault("its indices do not ascend".into()));
+        }
+        self.sparse = Some(Sparse { indices, values: &buffers.view(document, values)?[value_offset as usize..] });
+        Ok(())
+    }
+
+    /// Checks that the accessor has a format that its user can read. `role` is the user, `expected` names the formats in words.
+    pub(super) fn require(
+        &self,
+        document: &Document,
+        role: &str,
+        expected: &str,
+        accepts: impl FnOnce(Format) -> bool,
+    ) -> Result<Format> {
+        match self.format {
+            Some(format) if accepts(format) => Ok(format),
+            Some(format) => Err(document.fault(self.pointer(), format!("is {format}, but {role} must be {expected}"))),
+            None => Err(document.fault(self.pointer(), "is of an unknown type")),
+        }
+    }
+
+    /// Whether it can be read; not so if its buffer is only a place for what an extension decompresses.
+    pub(super) fn has_data(&self) -> bool {
+        !matches!(self.data, Data::Missing)
+    }
+
+    /// The largest value of its component type, for unsigned integers.
+    pub(super) fn largest_integer(&self) -> Option<u32> {
+        match self.format?.component {
+            Component::U8 => Some(u8::MAX.into()),
+            Component::U16 => Some(u16::MAX.into()),
+            Component::U32 => Some(u32::MAX),
+            _ => None,
+        }
+    }
+
+    /// The selected elements as vectors of f32; all finite. Charge the budget first.
+    pub(super) fn floats<T, const N: usize>(&self, document: &Document, selection: Selection) -> Result<Vec<T>>
+    where
+        T: Pod + From<[f32; N]>,
+    {
+        let format = self.checked_format::<N>(document)?;
+        let (bytes, shorts) = (f32::from(u8::MAX), f32::from(u16::MAX));
+        let (signed_bytes, signed_shorts) = (f32::from(i8::MAX), f32::from(i16::MAX));
+        let out = match (format.component, format.normalized) {
+            (Component::F32, _) => self.gather(selection, f32::from_le_bytes),
+            (Component::U8, true) => self.gather(selection, |[b]: [u8; 1]| f32::from(b) / bytes),
+            (Component::U8, false) => self.gather(selection, |[b]: [u8; 1]| f32::from(b)),
+            (Component::I8, true) => {
+                self.gather(selection, |b| (f32::from(i8::from_le_bytes(b)) / signed_bytes).max(-1.0))
+            }
+            (Component::I8, false) => self.gather(selection, |b| f32::from(i8::from_le_bytes(b))),
+            (Component::U16, true) => self.gather(selection, |b| f32::from(u16::from_le_bytes(b)) / shorts),
+            (Component::U16, false) => self.gather(selection, |b| f32::from(u16::from_le_bytes(b))),
+            (Component::I16, true) => {
+                self.gather(selection, |b| (f32::from(i16::from_le_bytes(b)) / signed_shorts).max(-1.0))
+            }
+            (Component::I16, false) => self.gather(selection, |b| f32::from(i16::from_le_bytes(b))),
+            (Component::U32, _) => return Err(document.fault(self.pointer(), "32-bit integers are no coordinates")),
+        };
+        self.check_finite::<T, N>(document, selection, &out)?;
+        Ok(out)
+    }
+
+    /// The selected elements as unsigned integers. Charge the budget first.
+    pub(super) fn integers<T, const N: usize>(&self, document: &Document, selection: Selection) -> Result<Vec<T>>
+    where
+        T: Pod + From<[u32; N]>,
+    {
+        match self.checked_format::<N>(document)?.component {
+            Component::U8 => Ok(self.gather(selection, |[b]: [u8; 1]| u32::from(b))),
+            Component::U16 => Ok(self.gather(selection, |b| u32::from(u16::from_le_bytes(b)))),
+            Component::U32 => Ok(self.gather(selection, u32::from_le_bytes)),
+            _ => Err(document.fault(self.pointer(), "holds no unsigned integers")),
+        }
+    }
+
+    /// The format, where it has `N` components and there is data.
+    fn checked_format<const N: usize>(&self, document: &Document) -> Result<Format> {
+        if !self.has_data() {
+            return Err(document.fault(self.pointer(), "its buffer has no data"));
+        }
+        self.require(document, "it", &format!("of {N} components"), |format| format.shape.components() == N)
+    }
+
+    /// Decodes components of `S` bytes into elements of `N` of them. The format has been checked to have `N` components of `S` bytes.
+    fn gather<T, V, const N: usize, const S: usize>(
+        &self,
+        selection: Selection,
+        component: impl Fn([u8; S]) -> V + Copy,
+    ) -> Vec<T>
+    where
+        T: Copy + Zeroable + From<[V; N]>,
+        V: Copy + Zeroable,
+    {
+        let element = |bytes: &[u8]| {
+            let mut values = [V::zeroed(); N];
+            values.iter_mut().zip(components(bytes, component)).for_each(|(value, decoded)| *value = decoded);
+            T::from(values)
+        };
+        let mut out: Vec<T> = match (self.data, selection) {
+            (Data::Strided { bytes, stride }, Selection::All) => {
+                bytes.chunks(stride).take(self.count).map(element).collect()
+            }
+            (Data::Strided { bytes, stride }, Selection::Only(indices)) => {
+                indices.iter().map(|&i| element(&bytes[i as usize * stride..])).collect()
+            }
+            (_, selection) => vec![T::zeroed(); self.selected(selection)],
+        };
+
+        if let Some(sparse) = &self.sparse {
+            for (&i, value) in sparse.indices.iter().zip(sparse.values.chunks(N * S)) {
+                let place = match selection {
+                    Selection::All => Ok(i as usize),
+                    Selection::Only(indices) => indices.binary_search(&i),
+                };
+                if let Ok(place) = place {
+                    out[place] = element(value);
+                }
+            }
+        }
+        out
+    }
+
+    /// How many elements a selection has.
+    pub(super) fn selected(&self, selection: Selection) -> usize {
+        match selection {
+            Selection::All => self.count,
+            Selection::Only(indices) => indices.len(),
+        }
+    }
+
+    fn check_finite<T: Pod, const N: usize>(&self, document: &Document, selection: Selection, out: &[T]) -> Result<()> {
+        let Some(i) = bytemuck::cast_slice::<T, f32>(out).iter().position(|x| !x.is_finite()) else { return Ok(()) };
+        let element = match selection {
+            Selection::All => i / N,
+            Selection::Only(indices) => indices[i / N] as usize,
+        };
+        Err(document.fault(self.pointer(), format!("element {element} is not finite")))
+    }
+
+    fn pointer(&self) -> String {
+        format!("/accessors/{}", self.index)
+    }
+}
+
+/// Decodes consecutive components of `S` bytes.
+fn components<V, const S: usize>(bytes: &[u8], decode: impl Fn([u8; S]) -> V) -> impl Iterator<Item = V> {
+    bytes.as_chunks::<S>().0.iter().map(move |chunk| decode(*chunk))
+}
+
+/// Checks that elements lie within a view, without overflow whatever the numbers.
+fn check_extent(
+    document: &Document,
+    view: usize,
+    offset: u64,
+    count: usize,
+    stride: usize,
+    size: usize,
+) -> Result<(), String> {
+    let available = document.views[view].byte_length.0;
+    if stride < size {
+        return Err(format!("the byteStride of buffer view {view} is {stride}, less than an element of {size} bytes"));
+    }
+    let length =
+        count.checked_sub(1).map_or(Some(0), |n| (n as u64).checked_mul(stride as u64)?.checked_add(size as u64));
+    match length.and_then(|length| offset.checked_add(length)) {
+        Some(end) if end <= available => Ok(()),
+        _ => Err(format!(
+            "its {count} elements of {size} bytes, {stride} apart, from byte {offset}, do not fit into the {available} bytes of buffer view {view}"
+        )),
+    }
+}

@@ -1,0 +1,100 @@
+//! The binary data of a glTF file.
+
+use std::borrow::Cow;
+use std::collections::HashMap;
+
+use super::{Document, uri};
+use crate::Result;
+
+/// The bytes of every buffer, and the check that buffer views lie within them.
+pub(super) struct Buffers<'a> {
+    /// The data of each buffer, at least as long as declared; `None` for a buffer that has none, or shares that of another.
+    data: Vec<Option<Cow<'a, [u8]>>>,
+    /// The first buffer with the same URI, for each buffer: the same data under two numbers.
+    same_as: Vec<usize>,
+    /// Bytes read from files beside the glTF file.
+    pub(super) external_bytes: u64,
+}
+
+impl<'a> Buffers<'a> {
+    /// Reads every buffer, each URI once. `bin` is the binary chunk of a GLB file.
+    pub(super) fn load(document: &Document, bin: Option<&'a [u8]>) -> Result<Self> {
+        let mut longest: HashMap<&str, (usize, u64)> = HashMap::new();
+        let mut same_as = Vec::new();
+        for (i, buffer) in document.buffers.iter().enumerate() {
+            let first = buffer.uri.as_deref().map_or(i, |uri| {
+                let (first, length) = longest.entry(uri).or_insert((i, 0));
+                *length = buffer.byte_length.0.max(*length);
+                *first
+            });
+            same_as.push(first);
+        }
+
+        let mut buffers = Self { data: Vec::new(), same_as, external_bytes: 0 };
+        for (i, buffer) in document.buffers.iter().enumerate() {
+            let data = match buffer.uri.as_deref() {
+                Some(uri) if buffers.same_as[i] == i => Some(Cow::Owned(buffers.read(document, i, longest[uri].1)?)),
+                None if i == 0 => bin.map(Cow::Borrowed),
+                // Extensions leave buffers without data, as a place for what they decompress.
+                _ => None,
+            };
+            buffers.data.push(data);
+            buffers.check_length(document, i)?;
+        }
+        (0..document.views.len()).try_for_each(|i| buffers.check_view(document, i))?;
+        Ok(buffers)
+    }
+
+    fn read(&mut self, document: &Document, index: usize, limit: u64) -> Result<Vec<u8>> {
+        let uri = document.buffers[index].uri.as_deref().unwrap_or_default();
+        let bytes = uri::read(uri, document.path, limit).map_err(|e| document.fault(format!("/buffers/{index}"), e))?;
+        self.external_bytes += bytes.len() as u64;
+        Ok(bytes)
+    }
+
+    fn check_length(&self, document: &Document, index: usize) -> Result<()> {
+        let want = document.buffers[index].byte_length.0;
+        match self.data[self.same_as[index]].as_deref() {
+            Some(data) if (data.len() as u64) < want => {
+                let cause = format!("has {} bytes, but its byteLength is {want}: was the file cut short?", data.len());
+                Err(document.fault(format!("/buffers/{index}"), cause))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn check_view(&self, document: &Document, index: usize) -> Result<()> {
+        let view = &document.views[index];
+        let (offset, length) = (view.byte_offset.map_or(0, |o| o.0), view.byte_length.0);
+        let available = document.buffers[view.buffer.value()].byte_length.0;
+        if offset.checked_add(length).is_some_and(|end| end <= available) {
+            return Ok(());
+        }
+        let cause = format!("its {length} bytes from {offset} do not fit into a buffer of {available}");
+        Err(document.fault(format!("/bufferViews/{index}"), cause))
+    }
+
+    /// The bytes of a view; an error if its buffer has no data.
+    pub(super) fn view(&self, document: &Document, index: usize) -> Result<&[u8]> {
+        let view = &document.views[index];
+        let buffer = self.same_as[view.buffer.value()];
+        let Some(data) = &self.data[buffer] else {
+            let cause = "has no URI, and there is no binary GLB chunk for it: its data is missing";
+            return Err(document.fault(format!("/buffers/{buffer}"), cause));
+        };
+        // The checks of load have shown that both lie within the data, which fits into memory.
+        let offset = view.byte_offset.map_or(0, |o| o.0) as usize;
+        Ok(&data[offset..offset + view.byte_length.0 as usize])
+    }
+
+    /// Where a view's bytes are: views with equal answers share their data.
+    pub(super) fn place(&self, document: &Document, index: usize) -> (usize, u64) {
+        let view = &document.views[index];
+        (self.same_as[view.buffer.value()], view.byte_offset.map_or(0, |o| o.0))
+    }
+
+    /// Whether the buffer of a view has data.
+    pub(super) fn has_data(&self, document: &Document, view: usize) -> bool {
+        self.data[self.same_as[document.views[view].buffer.value()]].is_some()
+    }
+}

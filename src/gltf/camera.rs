@@ -1,0 +1,53 @@
+//! Cameras.
+
+use ::gltf::json;
+use json::camera::Type;
+use json::validation::Checked::{Invalid, Valid};
+
+use super::Document;
+use super::notes::Notes;
+use crate::Result;
+use crate::graph::Camera;
+
+/// The widest field of view there is: 179 degrees.
+const WIDEST: f32 = 179.0 / 180.0 * std::f32::consts::PI;
+
+/// The camera with this index in the file; `None` if it is of a type that glTF does not know. The clip planes are not used.
+pub(super) fn convert(document: &Document, index: usize, notes: &mut Notes) -> Result<Option<Camera>> {
+    let camera = &document.cameras[index];
+    let pointer = format!("/cameras/{index}");
+    let positive = |what: &str, value: f32| {
+        let valid = value > 0.0 && value.is_finite();
+        if valid {
+            Ok(value)
+        } else {
+            Err(document.fault(&*pointer, format!("{what} is {value}, but must be above 0")))
+        }
+    };
+    match (&camera.type_, &camera.perspective, &camera.orthographic) {
+        (Valid(Type::Perspective), Some(perspective), _) => {
+            let mut y_fov = positive("yfov", perspective.yfov)?;
+            if y_fov > WIDEST {
+                notes.add(document, "yfov", &*pointer, format!("is {y_fov}, too wide to be seen: {WIDEST} is used"));
+                y_fov = WIDEST;
+            }
+            let aspect = perspective.aspect_ratio.map(|aspect| positive("aspectRatio", aspect)).transpose()?;
+            Ok(Some(Camera::Perspective { y_fov, aspect }))
+        }
+        (Valid(Type::Orthographic), _, Some(orthographic)) => {
+            let (x_mag, y_mag) = (orthographic.xmag, orthographic.ymag);
+            if x_mag < 0.0 || y_mag < 0.0 {
+                notes.add(document, "negative xmag or ymag", &*pointer, "not supported: the image is not mirrored");
+            }
+            Ok(Some(Camera::Orthographic {
+                x_mag: positive("xmag", x_mag.abs())?,
+                y_mag: positive("ymag", y_mag.abs())?,
+            }))
+        }
+        (Valid(_), ..) => Err(document.fault(pointer, "has no properties of its type")),
+        (Invalid, ..) => {
+            notes.add(document, "camera of unknown type", pointer, "left out");
+            Ok(None)
+        }
+    }
+}

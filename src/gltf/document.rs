@@ -1,0 +1,261 @@
+//! The JSON of a glTF file as typed objects, with everything checked that can be checked without the binary data.
+//!
+//! The crate `gltf` provides the types. Its own checks let through node cycles, nodes with two parents and indices out of
+//! range (it also cuts indices to 32 bits), so the checks here run on the JSON itself, before anything is typed.
+
+use std::path::Path;
+
+use ::gltf::json;
+use glam::{DAffine3, DMat3, DQuat, DVec3};
+use serde::Deserialize;
+use serde_json::{Number, Value};
+
+use super::{Hierarchy, fault, references};
+use crate::graph::Transform;
+use crate::{Error, Result};
+
+/// The extensions that are honoured; a file that requires any other is refused.
+pub(super) const EXTENSIONS: &[&str] = &[
+    "EXT_mesh_gpu_instancing",
+    "KHR_lights_punctual",
+    "KHR_materials_emissive_strength",
+    "KHR_materials_ior",
+    "KHR_materials_transmission",
+    "KHR_materials_unlit",
+    "KHR_mesh_quantization",
+    "KHR_node_visibility",
+    "KHR_texture_transform",
+];
+
+/// A checked glTF document: every index in it names something, and its nodes are trees.
+pub(super) struct Document<'a> {
+    /// The file, for messages.
+    pub(super) path: &'a Path,
+    /// The untyped JSON, for the parts that the crate has no types for.
+    pub(super) value: Value,
+    pub(super) accessors: Vec<json::Accessor>,
+    pub(super) buffers: Vec<json::Buffer>,
+    pub(super) views: Vec<json::buffer::View>,
+    pub(super) cameras: Vec<json::Camera>,
+    pub(super) images: Vec<json::Image>,
+    pub(super) lights: Vec<json::extensions::scene::khr_lights_punctual::Light>,
+    pub(super) materials: Vec<json::Material>,
+    pub(super) meshes: Vec<json::Mesh>,
+    pub(super) nodes: Vec<json::Node>,
+    pub(super) samplers: Vec<json::texture::Sampler>,
+    pub(super) scenes: Vec<json::Scene>,
+    pub(super) skins: Vec<json::Skin>,
+    pub(super) textures: Vec<json::Texture>,
+    /// The local transform of each node, read in f64.
+    pub(super) transforms: Vec<Transform>,
+    /// Who is whose child.
+    pub(super) hierarchy: Hierarchy,
+}
+
+impl<'a> Document<'a> {
+    /// Parses and checks the JSON text. O(size of the text).
+    ///
+    /// Nesting is limited to 128 levels by `serde_json`, so nothing that walks the tree can overflow the stack.
+    pub(super) fn parse(text: &[u8], path: &'a Path) -> Result<Self> {
+        let mut value: Value =
+            serde_json::from_slice(text).map_err(|e| fault(path, "", format!("is not valid JSON: {e}")))?;
+        simplify(&mut value);
+        add_empty_lists(&mut value);
+
+        check_version(&value, path)?;
+        check_required_extensions(&value, path)?;
+        references::check(&value, path)?;
+
+        let nodes: Vec<json::Node> = typed(&value, "/nodes", path)?;
+        let scenes = typed(&value, "/scenes", path)?;
+        Ok(Self {
+            path,
+            accessors: typed(&value, "/accessors", path)?,
+            buffers: typed(&value, "/buffers", path)?,
+            views: typed(&value, "/bufferViews", path)?,
+            cameras: typed(&value, "/cameras", path)?,
+            images: typed(&value, "/images", path)?,
+            lights: typed(&value, "/extensions/KHR_lights_punctual/lights", path)?,
+            materials: typed(&value, "/materials", path)?,
+            meshes: typed(&value, "/meshes", path)?,
+            samplers: typed(&value, "/samplers", path)?,
+            skins: typed(&value, "/skins", path)?,
+            textures: typed(&value, "/textures", path)?,
+            transforms: transforms(&value, path)?,
+            hierarchy: Hierarchy::new(&nodes, &scenes, path)?,
+            nodes,
+            scenes,
+            value,
+        })
+    }
+
+    /// An error about an object of this file.
+    pub(super) fn fault(&self, object: impl Into<String>, cause: impl Into<String>) -> Error {
+        fault(self.path, object, cause)
+    }
+
+    /// What a node's extension says, where the crate has no type for it.
+    pub(super) fn node_extension(&self, node: usize, extension: &str) -> Option<&Value> {
+        self.nodes[node].extensions.as_ref()?.others.get(extension)
+    }
+}
+
+/// The objects of an array of the JSON; none where there is no such array.
+fn typed<T: for<'de> Deserialize<'de>>(root: &Value, pointer: &str, path: &Path) -> Result<Vec<T>> {
+    let elements = match root.pointer(pointer) {
+        None => return Ok(Vec::new()),
+        Some(Value::Array(elements)) => elements,
+        Some(_) => return Err(fault(path, pointer, "is not an array")),
+    };
+    let parse = |(i, element)| {
+        T::deserialize(element).map_err(|e: serde_json::Error| fault(path, format!("{pointer}/{i}"), e.to_string()))
+    };
+    elements.iter().enumerate().map(parse).collect()
+}
+
+/// Rewrites whole numbers written as "1.0" or "1e0", which JSON does not tell from "1" but serde does; and drops the
+/// application's own `extras`, which may be anything, but which the crate's types take for objects.
+fn simplify(root: &mut Value) {
+    const LARGEST_EXACT: f64 = (1_u64 << f64::MANTISSA_DIGITS) as f64;
+    let mut pending = vec![root];
+    while let Some(value) = pending.pop() {
+        match value {
+            Value::Array(elements) => pending.extend(elements),
+            Value::Object(members) => {
+                members.remove("extras");
+                pending.extend(members.values_mut());
+            }
+            Value::Number(number) if number.is_f64() => {
+                if let Some(x) = number.as_f64().filter(|x| x.fract() == 0.0 && x.abs() <= LARGEST_EXACT) {
+                    *number = if x < 0.0 { Number::from(x as i64) } else { Number::from(x as u64) };
+                }
+            }
+            _ => {}
+        }
+    }
+}
+
+/// Writes out the one list that glTF may leave out and the crate's types may not: the root nodes of an empty scene.
+fn add_empty_lists(root: &mut Value) {
+    let scenes = root.get_mut("scenes").and_then(Value::as_array_mut);
+    for scene in scenes.into_iter().flatten().filter_map(Value::as_object_mut) {
+        scene.entry("nodes").or_insert_with(|| Value::Array(Vec::new()));
+    }
+}
+
+/// Only the major version matters: minor versions are backward compatible.
+fn check_version(root: &Value, path: &Path) -> Result<()> {
+    let Some(Value::String(version)) = root.pointer("/asset/version") else {
+        return Err(fault(path, "/asset", "there is no version: this is not a glTF 2.0 file"));
+    };
+    match version.split_once('.') {
+        Some(("2", minor)) if minor.parse::<u32>().is_ok() => Ok(()),
+        _ => Err(fault(path, "/asset/version", format!("is {version:?}; only glTF 2 is known"))),
+    }
+}
+
+fn check_required_extensions(root: &Value, path: &Path) -> Result<()> {
+    let Some(required) = root.get("extensionsRequired") else { return Ok(()) };
+    let names = Vec::<String>::deserialize(required).map_err(|e| fault(path, "/extensionsRequired", e.to_string()))?;
+    match names.into_iter().find(|name| !EXTENSIONS.contains(&name.as_str())) {
+        None => Ok(()),
+        Some(extension) => Err(Error::UnsupportedExtension { path: path.into(), extension }),
+    }
+}
+
+/// The local transform of every node, in f64: the crate's types would round positions on a globe to half a metre.
+fn transforms(root: &Value, path: &Path) -> Result<Vec<Transform>> {
+    let nodes = root.get("nodes").and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
+    nodes
+        .iter()
+        .enumerate()
+        .map(|(i, node)| transform(node).map_err(|e| fault(path, format!("/nodes/{i}"), e)))
+        .collect()
+}
+
+fn transform(node: &Value) -> Result<Transform, String> {
+    let translation = numbers::<3>(node, "translation")?;
+    let rotation = numbers::<4>(node, "rotation")?;
+    let scale = numbers::<3>(node, "scale")?;
+
+    let Some(matrix) = numbers::<16>(node, "matrix")? else {
+        let rotation = match rotation {
+            None => DQuat::IDENTITY,
+            Some(q) => unit_quaternion(q).ok_or("its rotation is zero: it must be a unit quaternion")?,
+        };
+        return Ok(Transform::Trs {
+            translation: translation.map_or(DVec3::ZERO, DVec3::from),
+            rotation,
+            scale: scale.map_or(DVec3::ONE, DVec3::from),
+        });
+    };
+    if translation.is_some() || rotation.is_some() || scale.is_some() {
+        return Err("it has both a matrix and a translation, rotation or scale".into());
+    }
+    let column = |i: usize| DVec3::new(matrix[4 * i], matrix[4 * i + 1], matrix[4 * i + 2]);
+    if [matrix[3], matrix[7], matrix[11], matrix[15]] != [0.0, 0.0, 0.0, 1.0] {
+        return Err("its matrix is not affine: the last row must be 0, 0, 0, 1".into());
+    }
+    let matrix3 = DMat3::from_cols(column(0), column(1), column(2));
+    Ok(Transform::Matrix(DAffine3 { matrix3, translation: column(3) }))
+}
+
+/// The unit quaternion in a direction, for any length but zero.
+fn unit_quaternion(components: [f64; 4]) -> Option<DQuat> {
+    // Scaled by the largest component first, so that the square of the length neither overflows nor vanishes.
+    let q = DQuat::from_array(components);
+    let largest = components.iter().fold(0.0, |a: f64, c| a.max(c.abs()));
+    (largest > 0.0).then(|| (q / largest).normalize())
+}
+
+/// A member that is an array of exactly `N` numbers; JSON numbers are finite.
+fn numbers<const N: usize>(object: &Value, key: &str) -> Result<Option<[f64; N]>, String> {
+    let Some(value) = object.get(key) else { return Ok(None) };
+    let numbers: Option<Vec<f64>> = value.as_array().and_then(|a| a.iter().map(Value::as_f64).collect());
+    match numbers.and_then(|n| <[f64; N]>::try_from(n).ok()) {
+        Some(numbers) => Ok(Some(numbers)),
+        None => Err(format!("its {key} is not an array of {N} numbers")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn whole_numbers_are_integers_however_written() {
+        let mut value = serde_json::from_str(r#"{"a": [1.0, 2e0, 30e-1, -4.0, 0.5, 1e300], "extras": 42}"#).unwrap();
+        simplify(&mut value);
+        assert_eq!(value.to_string(), r#"{"a":[1,2,3,-4,0.5,1e+300]}"#);
+    }
+
+    #[test]
+    fn transforms_keep_f64_and_their_form() {
+        let node = json!({"translation": [6378137.123456, 0, 0], "rotation": [0, 0, 0, 2e200], "scale": [1, -2, 3]});
+        let expected = Transform::Trs {
+            translation: DVec3::new(6378137.123456, 0.0, 0.0),
+            rotation: DQuat::IDENTITY,
+            scale: DVec3::new(1.0, -2.0, 3.0),
+        };
+        assert_eq!(transform(&node).unwrap(), expected);
+
+        let node = json!({"matrix": [1, 2, 3, 0, 4, 5, 6, 0, 7, 8, 9, 0, 10, 11, 12, 1]});
+        let Transform::Matrix(matrix) = transform(&node).unwrap() else { panic!("not a matrix") };
+        assert_eq!(matrix.transform_point3(DVec3::new(1.0, 0.0, 0.0)), DVec3::new(11.0, 13.0, 15.0));
+        assert_eq!(matrix.transform_point3(DVec3::new(0.0, 1.0, 0.0)), DVec3::new(14.0, 16.0, 18.0));
+    }
+
+    #[test]
+    fn bad_transforms_are_errors() {
+        for node in [
+            json!({"rotation": [0, 0, 0, 0]}),
+            json!({"translation": [1, 2]}),
+            json!({"scale": [1, 2, "x"]}),
+            json!({"matrix": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 2]}),
+            json!({"matrix": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1], "scale": [1, 1, 1]}),
+        ] {
+            assert!(transform(&node).is_err(), "{node}");
+        }
+    }
+}

@@ -1,0 +1,69 @@
+//! Punctual lights: `KHR_lights_punctual`.
+
+use std::f32::consts::FRAC_PI_2;
+
+use ::gltf::json;
+use glam::Vec3;
+use json::extensions::scene::khr_lights_punctual::Type;
+use json::validation::Checked::{Invalid, Valid};
+
+use super::Document;
+use super::notes::Notes;
+use crate::Result;
+use crate::graph::{Light, LightKind};
+
+/// The light with this index in the file; `None` if it is of a type that the extension does not know.
+pub(super) fn convert(document: &Document, index: usize, notes: &mut Notes) -> Result<Option<Light>> {
+    let light = &document.lights[index];
+    let pointer = format!("/extensions/KHR_lights_punctual/lights/{index}");
+    let kind = match light.type_ {
+        Valid(Type::Directional) => LightKind::Directional,
+        Valid(Type::Point) => LightKind::Point,
+        Valid(Type::Spot) => spot(document, light.spot.as_ref(), &pointer, notes)?,
+        Invalid => {
+            notes.add(document, "light of unknown type", pointer, "left out");
+            return Ok(None);
+        }
+    };
+    let mut at_least_zero = |what: &str, value: f32| {
+        if !value.is_finite() {
+            return Err(document.fault(&*pointer, format!("{what} is beyond the range of numbers")));
+        }
+        if value < 0.0 {
+            notes.add(document, what, &*pointer, format!("is {value}, below zero: 0 is used"));
+        }
+        Ok(value.max(0.0))
+    };
+    let [r, g, b] = light.color;
+    let color = Vec3::new(at_least_zero("color", r)?, at_least_zero("color", g)?, at_least_zero("color", b)?);
+    let intensity = at_least_zero("intensity", light.intensity)?;
+    let range = match light.range {
+        // A directional light is everywhere; its range has no meaning.
+        Some(range) if kind != LightKind::Directional => match at_least_zero("range", range)? {
+            0.0 => None,
+            range => Some(range),
+        },
+        _ => None,
+    };
+    Ok(Some(Light { kind, color, intensity, range }))
+}
+
+fn spot(
+    document: &Document,
+    spot: Option<&json::extensions::scene::khr_lights_punctual::Spot>,
+    pointer: &str,
+    notes: &mut Notes,
+) -> Result<LightKind> {
+    let Some(spot) = spot else { return Err(document.fault(pointer, "is a spot light without spot properties")) };
+    let (inner, outer) = (spot.inner_cone_angle, spot.outer_cone_angle);
+    if !(outer > 0.0 && outer.is_finite() && inner.is_finite()) {
+        return Err(document.fault(pointer, format!("outerConeAngle is {outer}, but must be above 0")));
+    }
+    let outer_cone_angle = outer.min(FRAC_PI_2);
+    let inner_cone_angle = inner.clamp(0.0, outer_cone_angle);
+    if (inner_cone_angle, outer_cone_angle) != (inner, outer) {
+        let effect = format!("are {inner} and {outer}: {inner_cone_angle} and {outer_cone_angle} are used");
+        notes.add(document, "cone angles", pointer, effect);
+    }
+    Ok(LightKind::Spot { inner_cone_angle, outer_cone_angle })
+}

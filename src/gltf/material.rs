@@ -1,0 +1,253 @@
+//! Materials: glTF's numbers, each brought into its range, and references to textures.
+
+use std::ops::RangeInclusive;
+
+use ::gltf::json;
+use glam::{Affine2, Mat2, Vec2, Vec3, Vec4};
+use json::texture::{MagFilter, WrappingMode};
+use json::validation::Checked::{Invalid, Valid};
+
+use super::Document;
+use super::notes::Notes;
+use super::texture::Images;
+use crate::Result;
+use crate::graph::{AlphaMode, Filter, Material, Sampler, TextureKey, TextureRef, Wrap};
+
+/// A material whose textures are not in the scene yet.
+pub(super) struct PlannedMaterial {
+    /// Everything but the textures.
+    values: Material,
+    base_color: Option<PlannedTexture>,
+    metallic_roughness: Option<PlannedTexture>,
+    emissive: Option<PlannedTexture>,
+    transmission: Option<PlannedTexture>,
+    normal: Option<PlannedTexture>,
+}
+
+/// A [`TextureRef`] by the index of its image among those that were asked for.
+#[derive(Clone, Copy)]
+struct PlannedTexture {
+    image: usize,
+    sampler: Sampler,
+    tex_coord: u32,
+    transform: Affine2,
+}
+
+/// Turns the materials of one document, and notes what is lost.
+pub(super) struct Converter<'a, 'd> {
+    pub(super) document: &'d Document<'d>,
+    pub(super) images: &'a mut Images<'d>,
+    pub(super) notes: &'a mut Notes,
+}
+
+impl PlannedMaterial {
+    /// What glTF gives to a primitive without a material.
+    pub(super) fn gltf_default() -> Self {
+        let values = Material { metallic: 1.0, double_sided: false, ..Material::default() };
+        Self { values, base_color: None, metallic_roughness: None, emissive: None, transmission: None, normal: None }
+    }
+
+    /// Which sets of texture coordinates its textures need.
+    pub(super) fn tex_coords_needed(&self) -> [bool; 2] {
+        [0, 1].map(|set| self.textures().any(|texture| texture.tex_coord == set))
+    }
+
+    /// Whether it has a normal texture.
+    pub(super) fn has_normal_texture(&self) -> bool {
+        self.normal.is_some()
+    }
+
+    /// The material, now that its textures are in the scene: by the index of their image.
+    pub(super) fn finish(self, keys: &[TextureKey]) -> Material {
+        let finish = |texture: Option<PlannedTexture>| {
+            let PlannedTexture { image, sampler, tex_coord, transform } = texture?;
+            Some(TextureRef { texture: keys[image], sampler, tex_coord, transform })
+        };
+        Material {
+            base_color_texture: finish(self.base_color),
+            metallic_roughness_texture: finish(self.metallic_roughness),
+            emissive_texture: finish(self.emissive),
+            transmission_texture: finish(self.transmission),
+            normal_texture: finish(self.normal),
+            ..self.values
+        }
+    }
+
+    fn textures(&self) -> impl Iterator<Item = &PlannedTexture> {
+        [&self.base_color, &self.metallic_roughness, &self.emissive, &self.transmission, &self.normal]
+            .into_iter()
+            .flatten()
+    }
+}
+
+impl<'d> Converter<'_, 'd> {
+    /// Converts the material with this index in the file.
+    pub(super) fn convert(&mut self, index: usize) -> Result<PlannedMaterial> {
+        const UNIT: RangeInclusive<f32> = 0.0..=1.0;
+        const POSITIVE: RangeInclusive<f32> = 0.0..=f32::MAX;
+        let document = self.document;
+        let material = &document.materials[index];
+        let pbr = &material.pbr_metallic_roughness;
+        let pointer = format!("/materials/{index}");
+        let mut number = |what: &str, value: f32, range| self.within(&pointer, what, value, range);
+
+        let mut base_color = Vec4::from(pbr.base_color_factor.0);
+        for value in base_color.as_mut() {
+            *value = number("baseColorFactor", *value, UNIT)?;
+        }
+        let mut emissive = Vec3::from(material.emissive_factor.0);
+        for value in emissive.as_mut() {
+            *value = number("emissiveFactor", *value, UNIT)?;
+        }
+        let extensions = material.extensions.as_ref();
+        let strength = extensions.and_then(|e| e.emissive_strength.as_ref()).map_or(1.0, |s| s.emissive_strength.0);
+        let strength = number("emissiveStrength", strength, POSITIVE)?;
+        let transmission = extensions.and_then(|e| e.transmission.as_ref());
+        let ior = match extensions.and_then(|e| e.ior.as_ref()).map_or(1.5, |i| i.ior.0) {
+            // Stands for "infinite".
+            0.0 => 0.0,
+            ior => number("ior", ior, 1.0..=f32::MAX)?,
+        };
+        let values = Material {
+            base_color,
+            metallic: number("metallicFactor", pbr.metallic_factor.0, UNIT)?,
+            roughness: number("roughnessFactor", pbr.roughness_factor.0, UNIT)?,
+            emissive,
+            transmission: number("transmissionFactor", transmission.map_or(0.0, |t| t.transmission_factor.0), UNIT)?,
+            ior,
+            alpha_mode: match material.alpha_mode {
+                Valid(json::material::AlphaMode::Opaque) => AlphaMode::Opaque,
+                Valid(json::material::AlphaMode::Blend) => AlphaMode::Blend,
+                Valid(json::material::AlphaMode::Mask) => {
+                    let cutoff = material.alpha_cutoff.unwrap_or_default().0;
+                    AlphaMode::Mask { cutoff: number("alphaCutoff", cutoff, POSITIVE)? }
+                }
+                Invalid => return Err(document.fault(format!("{pointer}/alphaMode"), "is no mode that glTF knows")),
+            },
+            double_sided: material.double_sided,
+            unlit: extensions.is_some_and(|e| e.unlit.is_some()),
+            normal_scale: match &material.normal_texture {
+                Some(texture) => number("normal scale", texture.scale, f32::MIN..=f32::MAX)?,
+                None => 1.0,
+            },
+            ..Material::default()
+        };
+        // The product of two large numbers may have no f32.
+        let values = Material { emissive: (emissive * strength).min(Vec3::MAX), ..values };
+
+        let mut texture = |info: Option<&json::texture::Info>| {
+            let Some(info) = info else { return Ok(None) };
+            self.texture(&pointer, info.index.value(), info.tex_coord, transform_of(info.extensions.as_ref()).as_ref())
+        };
+        Ok(PlannedMaterial {
+            base_color: texture(pbr.base_color_texture.as_ref())?,
+            metallic_roughness: texture(pbr.metallic_roughness_texture.as_ref())?,
+            emissive: texture(material.emissive_texture.as_ref())?,
+            transmission: texture(transmission.and_then(|t| t.transmission_texture.as_ref()))?,
+            normal: match &material.normal_texture {
+                None => None,
+                Some(info) => {
+                    let transform = normal_transform_of(info)
+                        .map_err(|e| document.fault(format!("{pointer}/normalTexture"), e.to_string()))?;
+                    self.texture(&pointer, info.index.value(), info.tex_coord, transform.as_ref())?
+                }
+            },
+            values,
+        })
+    }
+
+    fn texture(
+        &mut self,
+        pointer: &str,
+        texture: usize,
+        tex_coord: u32,
+        transform: Option<&json::extensions::texture::TextureTransform>,
+    ) -> Result<Option<PlannedTexture>> {
+        let tex_coord = transform.and_then(|t| t.tex_coord).unwrap_or(tex_coord);
+        if tex_coord >= 2 {
+            let feature = format!("texture coordinate set {tex_coord}");
+            self.notes.add(self.document, feature, pointer, "not supported: the texture is left out");
+            return Ok(None);
+        }
+        let transform = transform.map_or(Affine2::IDENTITY, to_affine);
+        if !transform.is_finite() {
+            return Err(self.document.fault(pointer, "a texture transform is not finite"));
+        }
+        let sampler = self.document.textures[texture].sampler.map(|s| &self.document.samplers[s.value()]);
+        let image = self.images.request(self.document, texture, self.notes);
+        let sampler = sampler.map_or_else(Sampler::default, to_sampler);
+        Ok(Some(PlannedTexture { image, sampler, tex_coord, transform }))
+    }
+
+    /// The nearest number in a range; a note where it is another one.
+    fn within(&mut self, pointer: &str, what: &str, value: f32, range: RangeInclusive<f32>) -> Result<f32> {
+        if !value.is_finite() {
+            return Err(self.document.fault(pointer, format!("{what} is beyond the range of numbers")));
+        }
+        let clamped = value.clamp(*range.start(), *range.end());
+        if clamped != value {
+            let effect = format!("is {value}, outside of its range: {clamped} is used");
+            self.notes.add(self.document, what, pointer, effect);
+        }
+        Ok(clamped)
+    }
+}
+
+fn to_sampler(sampler: &json::texture::Sampler) -> Sampler {
+    let wrap = |wrap: &json::validation::Checked<WrappingMode>| match wrap {
+        Valid(WrappingMode::ClampToEdge) => Wrap::Clamp,
+        Valid(WrappingMode::MirroredRepeat) => Wrap::Mirror,
+        Valid(WrappingMode::Repeat) | Invalid => Wrap::Repeat,
+    };
+    let filter = match sampler.mag_filter {
+        Some(Valid(MagFilter::Nearest)) => Filter::Nearest,
+        _ => Filter::Linear,
+    };
+    Sampler { wrap_u: wrap(&sampler.wrap_s), wrap_v: wrap(&sampler.wrap_t), filter }
+}
+
+fn transform_of(
+    extensions: Option<&json::extensions::texture::Info>,
+) -> Option<json::extensions::texture::TextureTransform> {
+    extensions?.texture_transform.clone()
+}
+
+/// The crate has no type for the transform of a normal texture.
+fn normal_transform_of(
+    info: &json::material::NormalTexture,
+) -> Result<Option<json::extensions::texture::TextureTransform>, serde_json::Error> {
+    let value = info.extensions.as_ref().and_then(|e| e.others.get("KHR_texture_transform"));
+    value.map(serde::Deserialize::deserialize).transpose()
+}
+
+/// `KHR_texture_transform`: scale, then rotate, then move. Positive rotations turn texture coordinates counter-clockwise as seen on the
+/// image, whose v axis points down (so, the extension's own example shows the lower left quadrant turned clockwise).
+fn to_affine(transform: &json::extensions::texture::TextureTransform) -> Affine2 {
+    let (sin, cos) = transform.rotation.0.sin_cos();
+    let rotation = Mat2::from_cols(Vec2::new(cos, -sin), Vec2::new(sin, cos));
+    let scale = Mat2::from_diagonal(Vec2::from(transform.scale.0));
+    Affine2::from_mat2_translation(rotation * scale, Vec2::from(transform.offset.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde::Deserialize;
+    use serde_json::json;
+
+    #[test]
+    fn the_extension_s_own_example_shows_the_lower_left_quadrant_turned_clockwise() {
+        let example = json!({"offset": [0, 1], "rotation": std::f32::consts::FRAC_PI_2, "scale": [0.5, 0.5]});
+        let transform = to_affine(&Deserialize::deserialize(example).unwrap());
+        // Corners of the surface, clockwise from the upper left, and where they are in the image, v down.
+        for (corner, expected) in [
+            (Vec2::new(0.0, 0.0), Vec2::new(0.0, 1.0)),
+            (Vec2::new(1.0, 0.0), Vec2::new(0.0, 0.5)),
+            (Vec2::new(1.0, 1.0), Vec2::new(0.5, 0.5)),
+            (Vec2::new(0.0, 1.0), Vec2::new(0.5, 1.0)),
+        ] {
+            let found = transform.transform_point2(corner);
+            assert!((found - expected).length() < 1e-6, "{corner} is at {found}, expected {expected}");
+        }
+    }
+}

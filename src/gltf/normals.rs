@@ -1,0 +1,47 @@
+//! Vertex normals as the renderer needs them: of length one, each.
+
+use glam::{DVec3, Vec3};
+
+/// Scales every normal to length one. Where a normal is zero (exporters write such at collapsed corners) it becomes the area-weighted mean of the
+/// adjacent triangles' normals, or +Z where these have no area either. O(vertices + triangles).
+pub(super) fn normalize(normals: &mut [Vec3], positions: &[Vec3], triangles: &[[u32; 3]]) {
+    let mut any_zero = false;
+    for normal in normals.iter_mut() {
+        *normal = direction(normal.as_dvec3()).unwrap_or_else(|| {
+            any_zero = true;
+            Vec3::ZERO
+        });
+    }
+    if !any_zero {
+        return;
+    }
+    let mut sums = vec![DVec3::ZERO; normals.len()];
+    for triangle in triangles {
+        let [a, b, c] = triangle.map(|vertex| positions[vertex as usize].as_dvec3());
+        for vertex in triangle {
+            sums[*vertex as usize] += (b - a).cross(c - a);
+        }
+    }
+    for (normal, sum) in normals.iter_mut().zip(sums).filter(|(normal, _)| **normal == Vec3::ZERO) {
+        *normal = direction(sum).unwrap_or(Vec3::Z);
+    }
+}
+
+/// The unit vector in a direction. In f64 the square of an f32's length neither overflows nor vanishes.
+pub(super) fn direction(v: DVec3) -> Option<Vec3> {
+    v.try_normalize().map(DVec3::as_vec3)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn any_length_but_zero_is_kept_in_direction() {
+        let positions = [Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::Z];
+        let mut normals = [Vec3::X * 1e-30, Vec3::Y * 1e30, Vec3::ZERO, Vec3::ZERO];
+        normalize(&mut normals, &positions, &[[0, 2, 1]]);
+        // The third is the triangle's own, the fourth is in no triangle.
+        assert_eq!(normals, [Vec3::X, Vec3::Y, Vec3::NEG_Z, Vec3::Z]);
+    }
+}

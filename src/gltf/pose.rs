@@ -1,0 +1,250 @@
+//! The rest pose: morph targets at their default weights, and skins as their joints stand.
+//!
+//! Both are applied once, on import, in the order of the specification (3.7.2.2): first the morph targets, then the skin.
+
+use ::gltf::json;
+use glam::{DAffine3, DMat3, Vec3, Vec4};
+use json::mesh::Semantic;
+use json::validation::Checked::Valid;
+
+use super::accessor::Selection;
+use super::format::{Component, Format};
+use super::geometry::check_vertex_count;
+use super::{Accessors, Budget, Document, normals};
+use crate::Result;
+
+/// What is applied to a primitive's vertices, in terms of its accessors.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
+pub(super) struct Pose {
+    morphs: Vec<Morph>,
+    skin: Option<Skin>,
+}
+
+/// A morph target with a weight that is not zero.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+struct Morph {
+    /// The bits of an f32, so that poses can be compared and hashed.
+    weight: u32,
+    positions: Option<usize>,
+    normals: Option<usize>,
+}
+
+/// How vertices hang on joints.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+struct Skin {
+    /// Which of the import's palettes of joint matrices.
+    palette: usize,
+    /// Sets of four joints and of their four weights.
+    sets: Vec<(usize, usize)>,
+}
+
+impl Pose {
+    /// The pose of a primitive under weights and a palette of joint matrices. `same_as` names equal accessors, `vertex_count` is what their
+    /// lengths must be, and `pointer` is the primitive, for messages.
+    pub(super) fn new(
+        document: &Document,
+        accessors: &Accessors,
+        same_as: &[usize],
+        primitive: &json::mesh::Primitive,
+        (weights, palette): (&[f32], Option<usize>),
+        (positions, pointer): (usize, &str),
+    ) -> Result<Self> {
+        let targets = primitive.targets.as_deref().unwrap_or_default();
+        let same = |index: Option<json::Index<json::Accessor>>| index.map(|index| same_as[index.value()]);
+        let morph = |(target, &weight): (&json::mesh::MorphTarget, &f32)| Morph {
+            weight: weight.to_bits(),
+            positions: same(target.positions),
+            normals: same(target.normals),
+        };
+        let morphs = targets.iter().zip(weights).filter(|(_, weight)| **weight != 0.0).map(morph).collect();
+
+        let attribute = |semantic| primitive.attributes.get(&Valid(semantic)).map(|index| same_as[index.value()]);
+        let set = |n| Some((attribute(Semantic::Joints(n))?, attribute(Semantic::Weights(n))?));
+        let sets: Vec<_> = (0..).map_while(set).collect();
+        let skin = palette.filter(|_| !sets.is_empty()).map(|palette| Skin { palette, sets });
+
+        let pose = Self { morphs, skin };
+        pose.check(document, accessors, positions, pointer)?;
+        Ok(pose)
+    }
+
+    /// Whether it hangs on joints.
+    pub(super) fn is_skinned(&self) -> bool {
+        self.skin.is_some()
+    }
+
+    /// What [`apply`](Self::apply) allocates for a vertex, at most.
+    pub(super) fn bytes_per_vertex(&self) -> usize {
+        let sets = self.skin.as_ref().map_or(0, |skin| skin.sets.len());
+        self.morphs.len() * 2 * size_of::<Vec3>() + sets * (size_of::<[u32; 4]>() + size_of::<Vec4>())
+    }
+
+    /// Moves the selected vertices into the rest pose.
+    pub(super) fn apply(
+        &self,
+        document: &Document,
+        accessors: &Accessors,
+        palettes: &[Vec<DAffine3>],
+        selection: Selection,
+        positions: &mut [Vec3],
+        mut normals: Option<&mut [Vec3]>,
+    ) -> Result<()> {
+        for morph in &self.morphs {
+            let weight = f32::from_bits(morph.weight);
+            add_deltas(document, accessors, selection, morph.positions, weight, positions)?;
+            if let Some(normals) = normals.as_deref_mut() {
+                add_deltas(document, accessors, selection, morph.normals, weight, normals)?;
+            }
+        }
+        if let Some(skin) = &self.skin {
+            skin.apply(document, accessors, &palettes[skin.palette], selection, positions, normals)?;
+        }
+        if positions.iter().all(|p| p.is_finite()) {
+            return Ok(());
+        }
+        Err(document.fault("/meshes", "morph targets or joints move a vertex beyond the range of numbers"))
+    }
+
+    fn check(&self, document: &Document, accessors: &Accessors, positions: usize, pointer: &str) -> Result<()> {
+        let vertex_count = accessors.get(positions).count;
+        let require = |index: usize, role: &str, expected: &str, accepts: fn(Format) -> bool| {
+            accessors.get(index).require(document, role, expected, accepts)?;
+            check_vertex_count(document, accessors, index, vertex_count, pointer)
+        };
+        for index in self.morphs.iter().flat_map(|morph| [morph.positions, morph.normals]).flatten() {
+            require(index, "a morph target", "VEC3 of floats, bytes or shorts", |f| {
+                f.is_vector(3) && f.component != Component::U32
+            })?;
+        }
+        for &(joints, weights) in self.skin.iter().flat_map(|skin| &skin.sets) {
+            require(joints, "JOINTS", "VEC4 of unsigned bytes or shorts", is_joints)?;
+            require(weights, "WEIGHTS", "VEC4 of floats, or of normalized bytes or shorts", |f| {
+                f.is_vector(4) && f.is_float_or_normalized()
+            })?;
+        }
+        Ok(())
+    }
+}
+
+impl Skin {
+    fn apply(
+        &self,
+        document: &Document,
+        accessors: &Accessors,
+        palette: &[DAffine3],
+        selection: Selection,
+        positions: &mut [Vec3],
+        mut normals: Option<&mut [Vec3]>,
+    ) -> Result<()> {
+        let mut sets = Vec::new();
+        for &(joints, weights) in &self.sets {
+            let joints = read_joints(document, accessors, joints, palette.len(), selection)?;
+            sets.push((joints, accessors.get(weights).floats::<Vec4, 4>(document, selection)?));
+        }
+        for (vertex, position) in positions.iter_mut().enumerate() {
+            let influences = sets.iter().flat_map(|(joints, weights)| {
+                joints[vertex].iter().zip(weights[vertex].to_array()).map(|(&joint, w)| (&palette[joint as usize], w))
+            });
+            let Some(matrix) = blend(influences) else { continue };
+            *position = matrix.transform_point3(position.as_dvec3()).as_vec3();
+            if let Some(normals) = normals.as_deref_mut() {
+                let normal = cofactor(&matrix.matrix3) * normals[vertex].as_dvec3();
+                normals[vertex] = normals::direction(normal).unwrap_or(Vec3::ZERO);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The joints of the selected vertices, each below `joint_count`.
+fn read_joints(
+    document: &Document,
+    accessors: &Accessors,
+    index: usize,
+    joint_count: usize,
+    selection: Selection,
+) -> Result<Vec<[u32; 4]>> {
+    let joints: Vec<[u32; 4]> = accessors.get(index).integers(document, selection)?;
+    match joints.iter().flatten().find(|&&joint| joint as usize >= joint_count) {
+        None => Ok(joints),
+        Some(joint) => {
+            let cause = format!("refers to joint {joint}, but the skin has {joint_count}");
+            Err(document.fault(format!("/accessors/{index}"), cause))
+        }
+    }
+}
+
+/// Checks that a JOINTS accessor stays below the number of joints, whether or not anything is skinned by it.
+pub(super) fn check_joints(
+    document: &Document,
+    accessors: &Accessors,
+    index: usize,
+    joint_count: usize,
+    budget: &mut Budget,
+) -> Result<()> {
+    let elements = accessors.get(index);
+    elements.require(document, "JOINTS", "VEC4 of unsigned bytes or shorts", is_joints)?;
+    if !elements.has_data() {
+        return Ok(());
+    }
+    budget.charge(elements.count, size_of::<[u32; 4]>(), document, || format!("/accessors/{index}"))?;
+    read_joints(document, accessors, index, joint_count, Selection::All).map(drop)
+}
+
+fn is_joints(format: Format) -> bool {
+    format.is_vector(4) && matches!(format.component, Component::U8 | Component::U16)
+}
+
+fn add_deltas(
+    document: &Document,
+    accessors: &Accessors,
+    selection: Selection,
+    deltas: Option<usize>,
+    weight: f32,
+    values: &mut [Vec3],
+) -> Result<()> {
+    let Some(deltas) = deltas else { return Ok(()) };
+    let deltas: Vec<Vec3> = accessors.get(deltas).floats(document, selection)?;
+    values.iter_mut().zip(deltas).for_each(|(value, delta)| *value += weight * delta);
+    Ok(())
+}
+
+/// The mean of matrices by their weights, whatever the weights' sum; `None` if that is not above 0.
+fn blend<'a>(influences: impl Iterator<Item = (&'a DAffine3, f32)>) -> Option<DAffine3> {
+    let (mut matrix, mut total) = (DAffine3::ZERO, 0.0);
+    for (joint, weight) in influences.filter(|(_, weight)| *weight > 0.0) {
+        let weight = f64::from(weight);
+        matrix.matrix3 += joint.matrix3 * weight;
+        matrix.translation += joint.translation * weight;
+        total += weight;
+    }
+    (total > 0.0).then(|| DAffine3 { matrix3: matrix.matrix3 * (1.0 / total), translation: matrix.translation / total })
+}
+
+/// The matrix that turns normals: the inverse transpose times the determinant, which exists for singular matrices too.
+fn cofactor(m: &DMat3) -> DMat3 {
+    let (x, y, z) = (m.x_axis, m.y_axis, m.z_axis);
+    DMat3::from_cols(y.cross(z), z.cross(x), x.cross(y))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+
+    #[test]
+    fn weights_need_not_sum_to_one() {
+        let matrices = [DAffine3::from_translation(DVec3::X), DAffine3::from_translation(DVec3::Y * 3.0)];
+        let blended = blend(matrices.iter().zip([0.5, 1.5])).unwrap();
+        assert_eq!(blended.translation, DVec3::new(0.25, 2.25, 0.0));
+        assert_eq!(blended.matrix3, DMat3::IDENTITY);
+        assert!(blend(matrices.iter().zip([0.0, -1.0])).is_none());
+    }
+
+    #[test]
+    fn the_cofactor_turns_normals_as_the_inverse_transpose_does() {
+        let m = DMat3::from_cols(DVec3::new(2.0, 0.5, 0.0), DVec3::new(0.0, 3.0, 1.0), DVec3::new(1.0, 0.0, 4.0));
+        let expected = m.inverse().transpose() * m.determinant();
+        assert!((cofactor(&m) - expected).abs_diff_eq(DMat3::ZERO, 1e-12));
+    }
+}

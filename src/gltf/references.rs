@@ -1,0 +1,180 @@
+//! Every index in a glTF document must name something: one table of where indices are and what they point into.
+
+use std::path::Path;
+
+use serde_json::Value;
+
+use super::fault;
+use crate::Result;
+
+/// Where indices are, as a JSON pointer in which `*` stands for every element or member, and the array they point into.
+const REFERENCES: &[(&str, &str)] = &[
+    ("accessors/*/bufferView", "bufferViews"),
+    ("accessors/*/sparse/indices/bufferView", "bufferViews"),
+    ("accessors/*/sparse/values/bufferView", "bufferViews"),
+    ("animations/*/channels/*/target/node", "nodes"),
+    ("animations/*/samplers/*/input", "accessors"),
+    ("animations/*/samplers/*/output", "accessors"),
+    ("bufferViews/*/buffer", "buffers"),
+    ("bufferViews/*/extensions/EXT_meshopt_compression/buffer", "buffers"),
+    ("images/*/bufferView", "bufferViews"),
+    ("meshes/*/primitives/*/attributes/*", "accessors"),
+    ("meshes/*/primitives/*/indices", "accessors"),
+    ("meshes/*/primitives/*/material", "materials"),
+    ("meshes/*/primitives/*/targets/*/*", "accessors"),
+    ("meshes/*/primitives/*/extensions/KHR_draco_mesh_compression/bufferView", "bufferViews"),
+    ("meshes/*/primitives/*/extensions/KHR_materials_variants/mappings/*/material", "materials"),
+    (
+        "meshes/*/primitives/*/extensions/KHR_materials_variants/mappings/*/variants/*",
+        "extensions/KHR_materials_variants/variants",
+    ),
+    ("nodes/*/camera", "cameras"),
+    ("nodes/*/children/*", "nodes"),
+    ("nodes/*/mesh", "meshes"),
+    ("nodes/*/skin", "skins"),
+    ("nodes/*/extensions/EXT_mesh_gpu_instancing/attributes/*", "accessors"),
+    ("nodes/*/extensions/KHR_lights_punctual/light", "extensions/KHR_lights_punctual/lights"),
+    ("scene", "scenes"),
+    ("scenes/*/nodes/*", "nodes"),
+    ("skins/*/inverseBindMatrices", "accessors"),
+    ("skins/*/joints/*", "nodes"),
+    ("skins/*/skeleton", "nodes"),
+    ("textures/*/sampler", "samplers"),
+    ("textures/*/source", "images"),
+    ("textures/*/extensions/*/source", "images"),
+];
+
+/// Checks that every index is a whole number below the length of the array it points into. O(size of the document).
+pub(super) fn check(root: &Value, path: &Path) -> Result<()> {
+    let check_index = |pointer: &str, index: &Value, target: &str| {
+        let length = root.pointer(&format!("/{target}")).and_then(Value::as_array).map_or(0, Vec::len);
+        check_range(index, length, target).map_err(|cause| fault(path, pointer, cause))
+    };
+    for (pattern, target) in REFERENCES {
+        let parts: Vec<&str> = pattern.split('/').collect();
+        visit(root, &parts, &mut String::new(), &mut |pointer, index| check_index(pointer, index, target))?;
+    }
+
+    // An animation's channels point into its own samplers.
+    visit(root, &["animations", "*"], &mut String::new(), &mut |pointer, animation| {
+        let length = animation.get("samplers").and_then(Value::as_array).map_or(0, Vec::len);
+        visit(animation, &["channels", "*", "sampler"], &mut pointer.to_owned(), &mut |pointer, index| {
+            check_range(index, length, "samplers of the animation").map_err(|cause| fault(path, pointer, cause))
+        })
+    })?;
+
+    // A material and its extensions, known or not, refer to textures by members called "...Texture".
+    visit(root, &["materials", "*"], &mut String::new(), &mut |pointer, material| {
+        texture_indices(material, pointer).iter().try_for_each(|(at, index)| check_index(at, index, "textures"))
+    })
+}
+
+fn check_range(index: &Value, length: usize, target: &str) -> Result<(), String> {
+    match index.as_u64() {
+        Some(i) if i < length as u64 => Ok(()),
+        Some(i) => Err(format!("is index {i}, but there are {length} {target}")),
+        None => Err(format!("is {index}, but must be an index into {target}")),
+    }
+}
+
+/// Calls `found` with the pointer and the value of each match of a pattern. Recursion is as deep as the pattern is long.
+fn visit(
+    value: &Value,
+    pattern: &[&str],
+    pointer: &mut String,
+    found: &mut impl FnMut(&str, &Value) -> Result<()>,
+) -> Result<()> {
+    let Some((part, rest)) = pattern.split_first() else { return found(pointer, value) };
+    let mut descend = |key: &str, child: &Value| {
+        let length = pointer.len();
+        push_key(pointer, key);
+        let result = visit(child, rest, pointer, found);
+        pointer.truncate(length);
+        result
+    };
+    match (value, *part) {
+        (Value::Array(elements), "*") => {
+            elements.iter().enumerate().try_for_each(|(i, child)| descend(&i.to_string(), child))
+        }
+        (Value::Object(members), "*") => members.iter().try_for_each(|(key, child)| descend(key, child)),
+        (Value::Object(members), key) => members.get(key).map_or(Ok(()), |child| descend(key, child)),
+        _ => Ok(()),
+    }
+}
+
+/// The `index` of every texture that a material refers to, with its pointer.
+fn texture_indices<'a>(material: &'a Value, pointer: &str) -> Vec<(String, &'a Value)> {
+    let mut indices = Vec::new();
+    let mut pending = vec![(pointer.to_owned(), material)];
+    while let Some((pointer, value)) = pending.pop() {
+        for (key, child) in value.as_object().into_iter().flatten() {
+            let mut at = pointer.clone();
+            push_key(&mut at, key);
+            if let Some(index) = child.get("index").filter(|_| key.ends_with("Texture")) {
+                indices.push((format!("{at}/index"), index));
+            }
+            if child.is_object() {
+                pending.push((at, child));
+            }
+        }
+    }
+    indices
+}
+
+/// Appends a key to a JSON pointer (RFC 6901).
+pub(super) fn push_key(pointer: &mut String, key: &str) {
+    pointer.push('/');
+    pointer.push_str(&key.replace('~', "~0").replace('/', "~1"));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    /// A document in which every reference of the table is present and is `index`, and every array has one element.
+    fn document(pattern: &str, target: &str, index: Value) -> Value {
+        let mut value = index;
+        for part in pattern.rsplit('/') {
+            value = if part == "*" { json!([value]) } else { json!({ part: value }) };
+        }
+        let mut document = value;
+        let mut place = &mut document;
+        for part in target.split('/') {
+            place = place.as_object_mut().unwrap().entry(part).or_insert(json!({}));
+        }
+        if !place.is_array() {
+            *place = json!([{}]);
+        }
+        document
+    }
+
+    #[test]
+    fn every_reference_of_the_table_is_checked() {
+        for (pattern, target) in REFERENCES {
+            let check = |index| check(&document(pattern, target, index), Path::new("a.gltf"));
+            // Where the pattern and the target are the same array, index 0 is the object itself: in range.
+            assert!(check(json!(0)).is_ok(), "{pattern}");
+            for bad in [json!(1), json!(-1), json!(4_294_967_296_u64), json!(0.5), json!("0"), json!([])] {
+                let error = check(bad.clone()).unwrap_err().to_string();
+                assert!(error.contains(&pattern.replace('*', "0")), "{pattern} = {bad}: {error}");
+            }
+        }
+    }
+
+    #[test]
+    fn textures_of_any_material_extension_are_checked() {
+        let document = |index: u32| json!({"textures": [{}], "materials": [{"extensions": {"X": {"glowTexture": {"index": index}}}}]});
+        assert!(check(&document(0), Path::new("a.gltf")).is_ok());
+        let error = check(&document(1), Path::new("a.gltf")).unwrap_err().to_string();
+        assert!(error.contains("/materials/0/extensions/X/glowTexture/index"), "{error}");
+    }
+
+    #[test]
+    fn channels_point_into_their_own_animation() {
+        let channel = |i: u32| json!({"animations": [{"samplers": [{}], "channels": [{"sampler": i}]}]});
+        assert!(check(&channel(0), Path::new("a.gltf")).is_ok());
+        let error = check(&channel(1), Path::new("a.gltf")).unwrap_err().to_string();
+        assert!(error.contains("/animations/0/channels/0/sampler"), "{error}");
+    }
+}
