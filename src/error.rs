@@ -130,6 +130,12 @@ pub enum Error {
         /// What the driver said.
         message: String,
     },
+    /// A file name does not say which image format to write.
+    #[error("{path}: the ending of the name is not that of an image format Ropewalk writes (.png or .exr)")]
+    ImageFormat {
+        /// The file.
+        path: PathBuf,
+    },
     /// An image could not be encoded.
     #[error("{path}: {source}")]
     Image {

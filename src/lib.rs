@@ -1,5 +1,6 @@
 //! Ropewalk: a retained scene graph that is ray traced.
 
+pub mod accel;
 pub mod compile;
 pub mod device;
 mod error;
@@ -7,6 +8,7 @@ pub mod gltf;
 pub mod graph;
 pub mod image;
 pub mod math;
+pub mod render;
 pub mod trace;
 
 pub use error::{Error, Result};
@@ -16,3 +18,4 @@ pub use graph::{
     TextureRef, Transform, Wrap,
 };
 pub use math::{Aabb, Bounds};
+pub use render::{DeviceChoice, Frame, FrameReport, Renderer, RendererOptions, Sky, View};

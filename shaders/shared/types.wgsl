@@ -1,6 +1,8 @@
 // Every type that crosses to the device, and the arrays. Twin of src/device/layout.rs: see there for what each member means.
 
 const NONE: u32 = 0xffffffffu;
+const F32_MAX: f32 = 0x1.fffffep+127f;
+const F32_MIN_NORMAL: f32 = 0x1p-126f;
 
 struct Node {
     min: vec3<f32>,
@@ -34,6 +36,7 @@ const INSTANCE_MIRRORED: u32 = 1u;
 const INSTANCE_CULL_BACK: u32 = 2u;
 const INSTANCE_ALPHA_MASK: u32 = 4u;
 const INSTANCE_TRANSLUCENT: u32 = 8u;
+const INSTANCE_THIN: u32 = 16u;
 
 struct Streams {
     first_index: u32,
@@ -134,6 +137,13 @@ struct Hit {
     primitive: u32,
     triangle: u32,
     back: u32,
+    _pad: u32,
+}
+
+struct RayBatch {
+    first: u32,
+    count: u32,
+    ray_mask: u32,
     _pad: u32,
 }
 

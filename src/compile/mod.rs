@@ -1,5 +1,15 @@
 //! From changes in the graph to changes in the device arrays. Never touches wgpu.
 
+mod arena;
+mod compiler;
+mod geometry_cache;
+mod instance_table;
+mod material_table;
 mod needs;
+mod pack;
+mod report;
 
-pub use needs::Needs;
+pub use compiler::Compiler;
+pub use needs::{MAX_MIRROR_ROUGHNESS, Needs};
+pub(crate) use report::seconds;
+pub use report::{CompileReport, RebuildReason, TlasUpdate};

@@ -38,6 +38,45 @@ pub struct DeviceArrays {
     pub lights: DeviceBuffer<Light>,
 }
 
+impl DeviceArrays {
+    /// The size of all arrays together.
+    pub fn byte_count(&self) -> u64 {
+        fn bytes<T>(array: &[T]) -> u64 {
+            size_of_val(array) as u64
+        }
+        bytes(&self.tlas_nodes)
+            + bytes(&self.instances)
+            + bytes(&self.blas_nodes)
+            + bytes(&self.triangles)
+            + bytes(&self.geometries)
+            + bytes(&self.indices)
+            + bytes(&self.normals)
+            + bytes(&self.tex_coords)
+            + bytes(&self.colors)
+            + bytes(&self.materials)
+            + bytes(&self.texture_infos)
+            + bytes(&self.texels)
+            + bytes(&self.lights)
+    }
+
+    /// Empties the list of changed ranges of every array, for executors that read the arrays in place.
+    pub fn forget_dirty(&mut self) {
+        self.tlas_nodes.dirty.clear();
+        self.instances.dirty.clear();
+        self.blas_nodes.dirty.clear();
+        self.triangles.dirty.clear();
+        self.geometries.dirty.clear();
+        self.indices.dirty.clear();
+        self.normals.dirty.clear();
+        self.tex_coords.dirty.clear();
+        self.colors.dirty.clear();
+        self.materials.dirty.clear();
+        self.texture_infos.dirty.clear();
+        self.texels.dirty.clear();
+        self.lights.dirty.clear();
+    }
+}
+
 /// An array and what changed in it.
 #[derive(Debug)]
 pub struct DeviceBuffer<T> {
@@ -59,17 +98,21 @@ impl<T> std::ops::Deref for DeviceBuffer<T> {
     }
 }
 
-impl<T: Pod + PartialEq> DeviceBuffer<T> {
-    /// Writes `values` from index `first` on, growing with zeros where needed. Elements that are equal already at either
-    /// end are not marked as changed.
+impl<T: Pod> DeviceBuffer<T> {
+    /// Writes `values` from index `first` on, growing with zeros where needed. Elements at either end that are the same
+    /// already, bit by bit, are not marked as changed.
     pub fn write(&mut self, first: usize, values: &[T]) {
+        if values.is_empty() {
+            return;
+        }
         let end = first + values.len();
         let old_len = self.data.len();
         if end > old_len {
             self.data.resize(end, T::zeroed());
         }
         let current = &mut self.data[first..end];
-        let changed = |&i: &usize| first + i >= old_len || current[i] != values[i];
+        let changed =
+            |&i: &usize| first + i >= old_len || bytemuck::bytes_of(&current[i]) != bytemuck::bytes_of(&values[i]);
         let (Some(from), Some(last)) = ((0..values.len()).find(changed), (0..values.len()).rfind(changed)) else {
             return;
         };
@@ -80,8 +123,16 @@ impl<T: Pod + PartialEq> DeviceBuffer<T> {
 
     /// Replaces the whole array.
     pub fn replace(&mut self, values: &[T]) {
-        self.data.truncate(values.len());
+        self.truncate(values.len());
         self.write(0, values);
+    }
+
+    /// Drops all elements from index `len` on.
+    pub fn truncate(&mut self, len: usize) {
+        self.data.truncate(len);
+        if self.data.capacity() > 4 * len {
+            self.data.shrink_to(2 * len);
+        }
     }
 
     /// The ranges that changed since the last call, sorted and disjoint, none beyond the array's end.
@@ -107,5 +158,64 @@ impl<T: Pod + PartialEq> DeviceBuffer<T> {
             }
             _ => self.dirty.push(range),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What an executor does: copies the dirty ranges, and nothing else.
+    fn catch_up(copy: &mut Vec<u32>, buffer: &mut DeviceBuffer<u32>) -> usize {
+        copy.resize(buffer.len(), u32::MAX);
+        let dirty = buffer.take_dirty();
+        assert!(dirty.windows(2).all(|pair| pair[0].end < pair[1].start), "{dirty:?} is not sorted and disjoint");
+        for range in &dirty {
+            copy[range.clone()].copy_from_slice(&buffer[range.clone()]);
+        }
+        dirty.iter().map(ExactSizeIterator::len).sum()
+    }
+
+    #[test]
+    fn copying_dirty_ranges_keeps_a_copy_equal() {
+        let (mut buffer, mut copy) = (DeviceBuffer::default(), Vec::new());
+        let mut state = 1u32;
+        let mut random = |below: u32| {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (state >> 8) % below
+        };
+        let mut compared = 0;
+        for _ in 0..10_000 {
+            match random(8) {
+                0 => buffer.truncate(random(50) as usize),
+                1 => buffer.replace(&vec![random(3); random(40) as usize]),
+                _ => buffer.write(random(60) as usize, &vec![random(3); random(6) as usize]),
+            }
+            if random(4) == 0 {
+                catch_up(&mut copy, &mut buffer);
+                assert_eq!(copy, *buffer);
+                compared += copy.len();
+            }
+        }
+        assert!(compared > 10_000);
+    }
+
+    #[test]
+    fn equal_elements_are_not_copied_again() {
+        let (mut buffer, mut copy) = (DeviceBuffer::default(), Vec::new());
+        buffer.write(0, &[1, 2, 3, 4]);
+        assert_eq!(catch_up(&mut copy, &mut buffer), 4);
+        buffer.write(0, &[1, 2, 9, 4]);
+        assert_eq!(catch_up(&mut copy, &mut buffer), 1);
+        buffer.write(0, &[1, 2, 9, 4]);
+        assert_eq!(catch_up(&mut copy, &mut buffer), 0);
+    }
+
+    #[test]
+    fn signs_of_zero_are_told_apart() {
+        let mut buffer = DeviceBuffer::default();
+        buffer.write(0, &[0.0f32]);
+        buffer.write(0, &[-0.0f32]);
+        assert!(buffer[0].is_sign_negative());
     }
 }

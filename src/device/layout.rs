@@ -112,6 +112,8 @@ bitflags::bitflags! {
         const ALPHA_MASK = 4;
         /// `any_hit` must ask the material how much light passes (alpha mask, blend or transmission).
         const TRANSLUCENT = 8;
+        /// A transmissive surface that encloses nothing (its geometry is not closed): light passes without bending.
+        const THIN = 16;
     }
 }
 
@@ -120,6 +122,7 @@ bitflags::bitflags! {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
 pub struct Streams {
     /// Into `indices`, in `u32`s: the three vertices of triangle `primitive` are at `first_index + 3 * primitive`.
+    /// [`NONE`] for a geometry without any stream, which has nothing to look up.
     pub first_index: u32,
     /// Into `normals`, in `f32`s: three a vertex.
     pub first_normal: u32,
@@ -322,7 +325,8 @@ pub struct Hit {
     pub primitive: u32,
     /// The triangle's index in the `triangles` array.
     pub triangle: u32,
-    /// 1 if the ray came from the back (in world space, mirroring undone), else 0.
+    /// 1 if the ray came from the side where the triangle winds clockwise in local space, else 0. That is the back as glTF
+    /// defines it, under mirroring transforms too.
     pub back: u32,
     /// Zero.
     pub _pad: u32,
@@ -332,4 +336,18 @@ impl Hit {
     /// No hit.
     pub const MISS: Self =
         Self { t: f32::MAX, u: 0.0, v: 0.0, instance: NONE, primitive: NONE, triangle: NONE, back: 0, _pad: 0 };
+}
+
+/// Which rays of a batch one dispatch traces: a uniform buffer. 16 bytes.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+pub struct RayBatch {
+    /// Index of the first ray: long batches take several dispatches.
+    pub first: u32,
+    /// How many rays.
+    pub count: u32,
+    /// Instances whose mask shares no bit with this are not hit.
+    pub ray_mask: u32,
+    /// Zero.
+    pub _pad: u32,
 }

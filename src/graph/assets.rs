@@ -7,26 +7,37 @@ use super::{Core, Geometry, GeometryKey, Material, MaterialKey, Scene, Texture, 
 use crate::Result;
 use crate::math::{Aabb, Bounds};
 
-/// An asset with the number of its users: cores that refer to a geometry or a material, references in materials to a texture.
+/// An asset with the number of its users: cores that refer to a geometry or a material, references in materials to a
+/// texture.
 #[derive(Debug)]
 pub(super) struct Used<T> {
     pub(super) value: T,
     pub(super) user_count: usize,
-    /// How often the value was replaced.
-    pub(super) version: u64,
-    /// The box around a geometry's triangles.
-    pub(super) bounds: Bounds,
 }
 
 impl<T> Used<T> {
-    fn new(value: T, bounds: Bounds) -> Self {
-        Self { value, user_count: 0, version: 0, bounds }
+    fn new(value: T) -> Self {
+        Self { value, user_count: 0 }
     }
+}
 
-    fn replace(&mut self, value: T, bounds: Bounds) -> T {
-        self.version += 1;
-        self.bounds = bounds;
-        std::mem::replace(&mut self.value, value)
+/// A geometry with what is known of it.
+#[derive(Debug)]
+pub(super) struct StoredGeometry {
+    pub(super) geometry: Geometry,
+    /// How often it was replaced.
+    version: u64,
+    /// The box around its triangles; vertices that none of them uses do not count.
+    pub(super) bounds: Bounds,
+}
+
+impl StoredGeometry {
+    /// Checks and measures a geometry.
+    fn new(geometry: Geometry, version: u64) -> Result<Self> {
+        geometry.validate()?;
+        let corners = geometry.indices.iter().flatten().map(|&vertex| geometry.positions[vertex as usize]);
+        let bounds = Aabb::from_points(corners).into();
+        Ok(Self { geometry, version, bounds })
     }
 }
 
@@ -37,9 +48,7 @@ impl Scene {
     /// # Errors
     /// [`Error::InvalidGeometry`](crate::Error::InvalidGeometry) as [`Geometry::validate`].
     pub fn add_geometry(&mut self, geometry: Geometry) -> Result<GeometryKey> {
-        geometry.validate()?;
-        let bounds = bounds_of(&geometry);
-        let key = self.geometries.insert(Used::new(geometry, bounds));
+        let key = self.geometries.insert(Used::new(StoredGeometry::new(geometry, 0)?));
         self.record(key, Change::ADDED);
         Ok(key)
     }
@@ -49,7 +58,7 @@ impl Scene {
     /// # Errors
     /// [`Error::StaleKey`](crate::Error::StaleKey).
     pub fn geometry(&self, key: GeometryKey) -> Result<&Geometry> {
-        self.geometries.get(key).map(|used| &used.value).ok_or_else(|| stale(key))
+        Ok(&self.stored_geometry(key)?.geometry)
     }
 
     /// How often the geometry was replaced: what is derived from one version of one key stays right.
@@ -57,7 +66,7 @@ impl Scene {
     /// # Errors
     /// [`Error::StaleKey`](crate::Error::StaleKey).
     pub fn geometry_version(&self, key: GeometryKey) -> Result<u64> {
-        self.geometries.get(key).map(|used| used.version).ok_or_else(|| stale(key))
+        Ok(self.stored_geometry(key)?.version)
     }
 
     /// The box around the triangles of a geometry, in its local space; empty without any. O(1).
@@ -65,12 +74,12 @@ impl Scene {
     /// # Errors
     /// [`Error::StaleKey`](crate::Error::StaleKey).
     pub fn geometry_bounds(&self, key: GeometryKey) -> Result<Bounds> {
-        self.geometries.get(key).map(|used| used.bounds).ok_or_else(|| stale(key))
+        Ok(self.stored_geometry(key)?.bounds)
     }
 
     /// All geometries, in no particular order.
     pub fn geometries(&self) -> impl Iterator<Item = (GeometryKey, &Geometry)> {
-        self.geometries.iter().map(|(key, used)| (key, &used.value))
+        self.geometries.iter().map(|(key, used)| (key, &used.value.geometry))
     }
 
     /// Replaces a geometry wherever it is used. O(vertices + triangles), to check it.
@@ -79,10 +88,9 @@ impl Scene {
     /// [`Error::StaleKey`](crate::Error::StaleKey); [`Error::InvalidGeometry`](crate::Error::InvalidGeometry) as
     /// [`Geometry::validate`].
     pub fn set_geometry(&mut self, key: GeometryKey, geometry: Geometry) -> Result<()> {
-        if *self.geometry(key)? != geometry {
-            geometry.validate()?;
-            let bounds = bounds_of(&geometry);
-            self.geometries[key].replace(geometry, bounds);
+        let old = self.stored_geometry(key)?;
+        if old.geometry != geometry {
+            self.geometries[key].value = StoredGeometry::new(geometry, old.version + 1)?;
             self.record(key, Change::DATA);
         }
         Ok(())
@@ -91,12 +99,12 @@ impl Scene {
     /// Adds a material that no core uses yet. O(1).
     ///
     /// # Errors
-    /// [`Error::StaleKey`](crate::Error::StaleKey) for a texture; [`Error::OutOfRange`](crate::Error::OutOfRange) for a number outside the range that
-    /// [`Material`] states.
+    /// [`Error::StaleKey`](crate::Error::StaleKey) for a texture; [`Error::OutOfRange`](crate::Error::OutOfRange) for
+    /// a number outside the range that [`Material`] states.
     pub fn add_material(&mut self, material: Material) -> Result<MaterialKey> {
         self.check_material(&material)?;
         self.acquire_textures(&material);
-        let key = self.materials.insert(Used::new(material, Bounds::EMPTY));
+        let key = self.materials.insert(Used::new(material));
         self.record(key, Change::ADDED);
         Ok(key)
     }
@@ -122,7 +130,7 @@ impl Scene {
         if *self.material(key)? != material {
             self.check_material(&material)?;
             self.acquire_textures(&material);
-            let old = self.materials[key].replace(material, Bounds::EMPTY);
+            let old = std::mem::replace(&mut self.materials[key].value, material);
             self.record(key, Change::DATA);
             self.release_textures(&old);
         }
@@ -135,7 +143,7 @@ impl Scene {
     /// [`Error::OutOfRange`](crate::Error::OutOfRange) if its size is 0 or not that of its texels.
     pub fn add_texture(&mut self, texture: Texture) -> Result<TextureKey> {
         check_texture(&texture)?;
-        let key = self.textures.insert(Used::new(texture, Bounds::EMPTY));
+        let key = self.textures.insert(Used::new(texture));
         self.record(key, Change::ADDED);
         Ok(key)
     }
@@ -160,13 +168,14 @@ impl Scene {
     pub fn set_texture(&mut self, key: TextureKey, texture: Texture) -> Result<()> {
         if *self.texture(key)? != texture {
             check_texture(&texture)?;
-            self.textures[key].replace(texture, Bounds::EMPTY);
+            self.textures[key].value = texture;
             self.record(key, Change::DATA);
         }
         Ok(())
     }
 
-    /// Frees the cores, geometries, materials and textures that nothing uses: those that were never used. O(all of them).
+    /// Frees the cores, geometries, materials and textures that nothing uses: those that were never used. O(all of
+    /// them).
     pub fn remove_unused(&mut self) {
         // Users first: freeing a core may free its geometry.
         for key in keys_where(&self.cores, |slot| slot.user_count == 0) {
@@ -200,6 +209,10 @@ impl Scene {
         if release(&mut self.materials[material]) {
             self.free_material(material);
         }
+    }
+
+    fn stored_geometry(&self, key: GeometryKey) -> Result<&StoredGeometry> {
+        self.geometries.get(key).map(|used| &used.value).ok_or_else(|| stale(key))
     }
 
     fn acquire_textures(&mut self, material: &Material) {
@@ -249,9 +262,4 @@ fn release<T>(used: &mut Used<T>) -> bool {
 
 fn keys_where<K: slotmap::Key, V>(map: &slotmap::SlotMap<K, V>, condition: impl Fn(&V) -> bool) -> Vec<K> {
     map.iter().filter(|(_, value)| condition(value)).map(|(key, _)| key).collect()
-}
-
-/// The box around the triangles; vertices that none of them uses do not count.
-fn bounds_of(geometry: &Geometry) -> Bounds {
-    Aabb::from_points(geometry.indices.iter().flatten().map(|&vertex| geometry.positions[vertex as usize])).into()
 }

@@ -1,17 +1,19 @@
 //! The change log: what changed since each consumer last looked.
 //!
-//! The log is a queue of segments, each with one entry an object. A segment begins where some consumer's cursor stands; where no
-//! cursor stands any more, neighbours are merged. So there are at most as many segments as cursors, and the log's size is bounded
-//! by the objects, however often they change and however far a consumer lags. Merging costs no more than the read that
-//! allowed it.
+//! The log is a queue of segments, each with one entry an object. A segment begins where some consumer's cursor
+//! stands; where no cursor stands any more, neighbours are merged. So there are at most as many segments as cursors,
+//! and the log's size is bounded by the objects, however often they change and however far a consumer lags. Merging
+//! costs no more than the read that allowed it.
 
-use std::collections::{HashMap, VecDeque};
+use std::collections::{HashMap, HashSet, VecDeque};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Weak};
 
 use slotmap::SecondaryMap;
 
+use super::validate::check;
 use super::{CoreKey, GeometryKey, MaterialKey, NodeKey, Object, SceneId, TextureKey};
+use crate::Result;
 
 bitflags::bitflags! {
     /// What changed in an object. [`ADDED`](Self::ADDED) and [`REMOVED`](Self::REMOVED) stand alone: they say it all.
@@ -56,11 +58,13 @@ impl Change {
 pub enum Changes {
     /// The consumer's first read: take the whole scene.
     Everything,
-    /// What changed since the last read, each object once, in the order of first changes. Objects that came and went are left out.
+    /// What changed since the last read, each object once, in the order of first changes. Objects that came and went
+    /// are left out.
     Since(Vec<(Object, Change)>),
 }
 
-/// How far one consumer has read the log of a scene. Dropping it ends the subscription, and frees what only it had still to read.
+/// How far one consumer has read the log of a scene. Dropping it ends the subscription, and frees what only it had
+/// still to read.
 ///
 /// A default cursor has read nothing; see [`Scene::changes_since`](super::Scene::changes_since).
 #[derive(Debug, Default)]
@@ -103,12 +107,10 @@ impl ChangeLog {
     pub(super) fn read(&mut self, scene: SceneId, cursor: &mut Cursor) -> Changes {
         self.forget_dropped_cursors();
         let now = self.begin_segment();
-        match &cursor.subscription {
+        let changes = match &cursor.subscription {
             Some((subscribed, position)) if *subscribed == scene => {
                 let since = position.swap(now, Ordering::Relaxed);
-                let merged = self.merged_since(since);
-                self.merge_between_cursors();
-                Changes::Since(merged)
+                Changes::Since(self.merged_since(since))
             }
             _ => {
                 let position = Arc::new(AtomicU64::new(now));
@@ -116,7 +118,15 @@ impl ChangeLog {
                 cursor.subscription = Some((scene, position));
                 Changes::Everything
             }
-        }
+        };
+        self.merge_between_cursors();
+        changes
+    }
+
+    /// Allocates what recording changes of objects up to these takes.
+    pub(super) fn make_room(&mut self, last_node: Option<NodeKey>, last_core: Option<CoreKey>) {
+        let last = [last_node.map(Object::from), last_core.map(Object::from)];
+        last.into_iter().flatten().for_each(|object| self.places.set(object, 0));
     }
 
     /// The start of an open segment without entries.
@@ -133,14 +143,13 @@ impl ChangeLog {
     /// All entries from the segment that starts at `since` on, merged by object. Cursors are where they will be.
     fn merged_since(&mut self, since: u64) -> Vec<(Object, Change)> {
         let first = self.segments.partition_point(|segment| segment.start < since);
-        let last = self.segments.len().saturating_sub(1);
-        let mut merged = if first == 0 && self.lowest_cursor() > since {
+        let mut merged = if self.lowest_cursor() > since {
             // Nobody else is going to read it.
             std::mem::replace(&mut self.segments[first], Segment::new(since))
         } else {
             self.segments[first].copy()
         };
-        for segment in self.segments.range(first + 1..=last.max(first)) {
+        for segment in self.segments.range(first + 1..) {
             merged.absorb(segment);
         }
         merged.entries.retain(|(_, change)| !change.is_empty());
@@ -184,6 +193,25 @@ impl ChangeLog {
     fn positions(&self) -> Vec<u64> {
         self.cursors.iter().filter_map(|cursor| Some(cursor.upgrade()?.load(Ordering::Relaxed))).collect()
     }
+
+    /// Checks that each cursor stands at the start of a segment, and that no segment has two entries for an object.
+    pub(super) fn validate(&self, root: NodeKey) -> Result<()> {
+        let rising = self.segments.iter().is_sorted_by(|a, b| a.start < b.start);
+        check(rising, root, "the log is out of order")?;
+        let at_segment = |position: &u64| self.segments.iter().any(|segment| segment.start == *position);
+        check(self.positions().iter().all(at_segment), root, "a cursor is not at the start of a segment")?;
+        for segment in &self.segments {
+            let mut seen = HashSet::new();
+            for (place, &(object, _)) in segment.entries.iter().enumerate() {
+                check(seen.insert(object), object, "it has two entries in one segment of the log")?;
+                let found = segment.index.is_empty() || segment.index.get(&object) == Some(&place);
+                check(found, object, "the log's index does not find it")?;
+            }
+            let dead = segment.entries.iter().filter(|(_, change)| change.is_empty()).count();
+            check(dead == segment.dead, root, "the log miscounts what came and went")?;
+        }
+        Ok(())
+    }
 }
 
 /// Changes between two cursors.
@@ -219,6 +247,9 @@ impl Segment {
 
     /// Adds the changes of the segment after this one. O(changes there), once there is an index.
     fn absorb(&mut self, later: &Self) {
+        if later.entries.is_empty() {
+            return;
+        }
         if self.index.is_empty() {
             self.index = self.entries.iter().enumerate().map(|(place, entry)| (entry.0, place)).collect();
         }
@@ -283,5 +314,73 @@ impl Places {
         for (place, &(object, _)) in entries.iter().enumerate() {
             self.set(object, place);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use slotmap::SlotMap;
+
+    use super::*;
+    use crate::Scene;
+
+    fn entry_count(log: &ChangeLog) -> usize {
+        log.segments.iter().map(|segment| segment.entries.len()).sum()
+    }
+
+    #[test]
+    fn without_cursors_nothing_is_stored() {
+        let mut keys: SlotMap<NodeKey, ()> = SlotMap::with_key();
+        let (mut log, scene) = (ChangeLog::default(), Scene::new().id());
+        log.record(keys.insert(()).into(), Change::ADDED);
+        assert_eq!(entry_count(&log), 0);
+
+        let mut cursor = Cursor::default();
+        assert_eq!(log.read(scene, &mut cursor), Changes::Everything);
+        log.record(keys.insert(()).into(), Change::ADDED);
+        assert_eq!(entry_count(&log), 1);
+
+        drop(cursor);
+        log.record(keys.insert(()).into(), Change::ADDED);
+        assert!(log.segments.is_empty());
+    }
+
+    /// One consumer never reads again, one reads after each edit, others come and go.
+    #[test]
+    fn a_lagging_consumer_costs_one_entry_an_object() {
+        let mut keys: SlotMap<NodeKey, ()> = SlotMap::with_key();
+        let objects: Vec<Object> = (0..10).map(|_| keys.insert(()).into()).collect();
+        let (mut log, scene) = (ChangeLog::default(), Scene::new().id());
+        let (mut lagging, mut eager) = (Cursor::default(), Cursor::default());
+        assert_eq!(log.read(scene, &mut lagging), Changes::Everything);
+        assert_eq!(log.read(scene, &mut eager), Changes::Everything);
+
+        for round in 0..1000 {
+            let object = objects[round * 7 % objects.len()];
+            log.record(object, Change::MASK);
+            let visitor: Object = keys.insert(()).into();
+            log.record(visitor, Change::ADDED);
+            let mut passing = Cursor::default();
+            assert_eq!(log.read(scene, &mut passing), Changes::Everything);
+            log.record(visitor, Change::REMOVED);
+            assert_eq!(log.read(scene, &mut eager), Changes::Since(vec![(object, Change::MASK)]));
+            log.validate(NodeKey::default()).unwrap();
+            assert!(log.segments.len() <= 4, "{} segments", log.segments.len());
+            assert!(entry_count(&log) <= 2 * objects.len() + 4, "{} entries", entry_count(&log));
+        }
+        let Changes::Since(all) = log.read(scene, &mut lagging) else { panic!("it has read before") };
+        assert_eq!(all.len(), objects.len());
+    }
+
+    #[test]
+    fn a_cursor_follows_its_consumer_to_another_scene() {
+        let (mut one, mut other) = (Scene::new(), Scene::new());
+        let mut cursor = one.subscribe();
+        assert_eq!(one.changes_since(&mut cursor), Changes::Everything);
+        assert_eq!(other.changes_since(&mut cursor), Changes::Everything);
+        assert_eq!(other.changes_since(&mut cursor), Changes::Since(vec![]));
+        one.set_mask(one.root(), 1).unwrap();
+        assert!(one.log.segments.is_empty(), "the cursor has left");
+        assert_eq!(one.changes_since(&mut cursor), Changes::Everything);
     }
 }

@@ -38,8 +38,8 @@ impl Core {
 
 /// Where a node's core comes from: a new one, or one that other nodes may share.
 ///
-/// Calls that take `impl Into<CoreSource>` accept a [`Core`], a [`Transform`], a [`Light`] or a [`Camera`] (each makes a new core) or
-/// a [`CoreKey`] (shares it).
+/// Calls that take `impl Into<CoreSource>` accept a [`Core`], a [`Transform`], a [`Light`] or a [`Camera`] (each makes
+/// a new core) or a [`CoreKey`] (shares it).
 #[derive(Clone, Debug, PartialEq)]
 pub enum CoreSource {
     /// A core of the node's own, until somebody shares it.
@@ -84,12 +84,10 @@ pub(super) struct CoreSlot {
     pub(super) core: Core,
     pub(super) first_user: Option<NodeKey>,
     pub(super) user_count: usize,
-    /// Whether it is in the list of cores that the hierarchy has to look at.
-    pub(super) stale: bool,
 }
 
 impl CoreSlot {
     pub(super) fn new(core: Core) -> Self {
-        Self { core, first_user: None, user_count: 0, stale: false }
+        Self { core, first_user: None, user_count: 0 }
     }
 }

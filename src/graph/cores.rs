@@ -51,8 +51,8 @@ impl Scene {
     /// The same key, or a new core equal to one that the node has for itself alone, changes nothing.
     ///
     /// # Errors
-    /// [`Error::StaleKey`] for the node or what the core refers to; [`Error::OutOfRange`] for a bad number in a new core;
-    /// [`Error::Root`] for the root and a core other than a group.
+    /// [`Error::StaleKey`] for the node or what the core refers to; [`Error::OutOfRange`] for a bad number in a new
+    /// core; [`Error::Root`] for the root and a core other than a group.
     pub fn set_core(&mut self, node: NodeKey, core: impl Into<CoreSource>) -> Result<()> {
         let old = self.node(node)?.core;
         let source = core.into();
@@ -67,13 +67,13 @@ impl Scene {
         let new = self.obtain_core(source)?;
         self.unlink_user(node, old);
         self.link_user(node, new);
-        self.stale.mark_node(node, &mut self.nodes);
+        self.node_changed(node);
         self.record(node, Change::CORE);
         self.release_core_if_unused(old);
         Ok(())
     }
 
-    /// Changes a core, and with it every node that uses it. O(1).
+    /// Changes a core, and with it every node that uses it. O(1), or O(users) if its transform changes.
     ///
     /// # Errors
     /// [`Error::StaleKey`] for the core or what it is to refer to; [`Error::OutOfRange`] for a bad number;
@@ -95,7 +95,7 @@ impl Scene {
             (false, false) => Change::DATA,
         };
         if change.contains(Change::TRANSFORM) {
-            self.stale.mark_core(key, &mut self.cores);
+            self.users_moved(key);
         }
         self.record(key, change);
         self.release_assets(&old);
@@ -105,7 +105,8 @@ impl Scene {
     /// The transform of a transform node into its parent's space.
     ///
     /// # Errors
-    /// [`Error::StaleKey`]; [`Error::WrongCore`] if the node has no transform: move its parent, or put a transform node above it.
+    /// [`Error::StaleKey`]; [`Error::WrongCore`] if the node has no transform: move its parent, or put a transform
+    /// node above it.
     pub fn local(&self, node: NodeKey) -> Result<Transform> {
         match *self.core(node)? {
             Core::Transform(transform) => Ok(transform),
@@ -113,7 +114,8 @@ impl Scene {
         }
     }
 
-    /// Moves a transform node with everything below it, and with it all nodes that share its core. O(1).
+    /// Moves a transform node with everything below it, and with it all nodes that share its core. O(nodes that share
+    /// it).
     ///
     /// # Errors
     /// As [`local`](Self::local); [`Error::OutOfRange`] if some number is not finite.
@@ -143,6 +145,23 @@ impl Scene {
         {
             self.record(key, Change::REMOVED);
             self.release_assets(&slot.core);
+        }
+    }
+
+    /// Tells the hierarchy that a node's own transform, mask or visibility is another.
+    pub(super) fn node_changed(&mut self, key: NodeKey) {
+        let node = &self.nodes[key];
+        self.hierarchy.node_changed(key, node, &self.cores[node.core].core);
+    }
+
+    /// Tells the hierarchy that the transform of a core is another.
+    fn users_moved(&mut self, key: CoreKey) {
+        let slot = &self.cores[key];
+        let mut next = slot.first_user;
+        while let Some(user) = next {
+            let node = &self.nodes[user];
+            self.hierarchy.node_changed(user, node, &slot.core);
+            next = node.next_user;
         }
     }
 

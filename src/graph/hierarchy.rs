@@ -5,15 +5,17 @@ use std::ops::Range;
 use glam::DAffine3;
 use slotmap::{SecondaryMap, SlotMap};
 
+use super::bit_set::BitSet;
 use super::core::CoreSlot;
 use super::node::Node;
 use super::{Core, CoreKey, NodeKey};
 
-/// All nodes of a scene in preorder: a node's subtree is the range from its index to [`subtree_end`](Self::subtree_end).
+/// All nodes of a scene in preorder: a node's subtree is a range of indices that
+/// begins with the node's own.
 ///
-/// Indices change with the structure of the scene; keys do not. It is rebuilt after structural edits; else only the ranges of changed
-/// subtrees are recomputed. About 250 bytes a node.
-#[derive(Debug, Default)]
+/// Indices change with the structure of the scene; keys do not. It is rebuilt after structural edits; else only the
+/// ranges of changed subtrees are recomputed. About 250 bytes a node.
+#[derive(Debug)]
 pub struct Hierarchy {
     nodes: Vec<NodeKey>,
     parents: Vec<u32>,
@@ -23,6 +25,16 @@ pub struct Hierarchy {
     masks: Vec<u32>,
     visible: Vec<bool>,
     indices: SecondaryMap<NodeKey, u32>,
+    state: State,
+}
+
+/// What has to be done to catch up with the scene.
+#[derive(Debug)]
+enum State {
+    /// Build everything.
+    OutOfDate,
+    /// Recompute the subtrees at these indices, whose `own` is right already.
+    Built(BitSet),
 }
 
 /// What a node contributes to itself and to all below it.
@@ -53,7 +65,8 @@ impl Hierarchy {
         &self.subtree_ends
     }
 
-    /// `world_from_local` of each node: its own transform applied, if it has one. Not finite where the product overflows.
+    /// `world_from_local` of each node: its own transform applied, if it has one. Not finite where the product
+    /// overflows.
     pub fn worlds(&self) -> &[DAffine3] {
         &self.worlds
     }
@@ -96,97 +109,86 @@ impl Hierarchy {
     }
 }
 
-/// Edits that the hierarchy does not show yet.
-#[derive(Debug)]
-pub(super) struct Stale {
-    structure: bool,
-    /// Nodes whose own mask, visibility or core changed; each once, by the flag in the node.
-    nodes: Vec<NodeKey>,
-    /// Cores whose transform changed; each once, by the flag in the core.
-    cores: Vec<CoreKey>,
-}
-
-impl Stale {
-    /// Nothing is known yet.
-    pub(super) fn structure() -> Self {
-        Self { structure: true, nodes: Vec::new(), cores: Vec::new() }
-    }
-
-    pub(super) fn is_empty(&self) -> bool {
-        !self.structure && self.nodes.is_empty() && self.cores.is_empty()
-    }
-
-    pub(super) fn mark_structure(&mut self) {
-        self.structure = true;
-    }
-
-    pub(super) fn mark_node(&mut self, key: NodeKey, nodes: &mut SlotMap<NodeKey, Node>) {
-        if !self.structure && !std::mem::replace(&mut nodes[key].stale, true) {
-            self.nodes.push(key);
-        }
-    }
-
-    pub(super) fn mark_core(&mut self, key: CoreKey, cores: &mut SlotMap<CoreKey, CoreSlot>) {
-        if !self.structure && !std::mem::replace(&mut cores[key].stale, true) {
-            self.cores.push(key);
-        }
-    }
-}
-
+/// Catching up with the scene.
 impl Hierarchy {
-    /// Catches up with the edits in `stale`, and empties it.
-    pub(super) fn update(
-        &mut self,
-        root: NodeKey,
-        nodes: &mut SlotMap<NodeKey, Node>,
-        cores: &mut SlotMap<CoreKey, CoreSlot>,
-        stale: &mut Stale,
-    ) {
-        if stale.is_empty() {
-            return;
-        }
-        // 1. Find the nodes concerned; those that are gone come with a structural change.
-        let mut dirty = Vec::with_capacity(stale.nodes.len() + stale.cores.len());
-        for key in stale.nodes.drain(..) {
-            if let Some(node) = nodes.get_mut(key) {
-                node.stale = false;
-                dirty.push(key);
-            }
-        }
-        for key in stale.cores.drain(..) {
-            if let Some(core) = cores.get_mut(key) {
-                core.stale = false;
-                let first = core.first_user;
-                dirty.extend(std::iter::successors(first, |&user| nodes[user].next_user));
-            }
-        }
-        // 2. Recompute their subtrees, or all.
-        if std::mem::take(&mut stale.structure) {
-            self.rebuild(root, nodes, cores);
-        } else {
-            self.recompute(&dirty, nodes, cores);
+    /// Knows nothing yet.
+    pub(super) fn new() -> Self {
+        Self {
+            nodes: Vec::new(),
+            parents: Vec::new(),
+            subtree_ends: Vec::new(),
+            own: Vec::new(),
+            worlds: Vec::new(),
+            masks: Vec::new(),
+            visible: Vec::new(),
+            indices: SecondaryMap::new(),
+            state: State::OutOfDate,
         }
     }
 
-    fn recompute(&mut self, dirty: &[NodeKey], nodes: &SlotMap<NodeKey, Node>, cores: &SlotMap<CoreKey, CoreSlot>) {
-        let mut indices = Vec::with_capacity(dirty.len());
-        for &key in dirty {
-            let index = self.indices[key];
-            self.own[index as usize] = own(&nodes[key], cores);
-            indices.push(index);
+    /// Whether it shows the scene as it is.
+    pub(super) fn is_up_to_date(&self) -> bool {
+        matches!(&self.state, State::Built(dirty) if dirty.is_empty())
+    }
+
+    /// Nodes came, went or moved to other parents. O(1).
+    pub(super) fn structure_changed(&mut self) {
+        self.state = State::OutOfDate;
+    }
+
+    /// The node's own transform, mask or visibility changed. O(1).
+    pub(super) fn node_changed(&mut self, key: NodeKey, node: &Node, core: &Core) {
+        if let State::Built(dirty) = &mut self.state {
+            let index = self.indices[key] as usize;
+            self.own[index] = Own::new(node, core);
+            dirty.insert(index);
         }
-        let ranges: Vec<_> = self.outermost_subtrees(&mut indices).collect();
-        for range in ranges {
-            self.propagate(range);
+    }
+
+    /// Shows all edits made so far.
+    pub(super) fn update(&mut self, root: NodeKey, nodes: &SlotMap<NodeKey, Node>, cores: &SlotMap<CoreKey, CoreSlot>) {
+        match std::mem::replace(&mut self.state, State::OutOfDate) {
+            State::OutOfDate => {
+                self.rebuild(root, nodes, cores);
+                self.state = State::Built(BitSet::new(self.nodes.len()));
+            }
+            State::Built(mut dirty) => {
+                let mut end = 0;
+                dirty.drain(|index| {
+                    if index >= end {
+                        end = self.subtree_ends[index] as usize;
+                        self.propagate(index..end);
+                    }
+                });
+                self.state = State::Built(dirty);
+            }
         }
+    }
+
+    /// The first node that the two show differently, to the last bit of its world transform.
+    pub(super) fn first_difference(&self, other: &Self) -> Option<NodeKey> {
+        let bits = |world: &DAffine3| world.to_cols_array().map(f64::to_bits);
+        let same = |i: usize| {
+            i < self.nodes.len()
+                && self.nodes.get(i) == other.nodes.get(i)
+                && self.parents[i] == other.parents[i]
+                && self.subtree_ends[i] == other.subtree_ends[i]
+                && bits(&self.worlds[i]) == bits(&other.worlds[i])
+                && self.masks[i] == other.masks[i]
+                && self.visible[i] == other.visible[i]
+                && self.index(self.nodes[i]) == Some(i)
+        };
+        let longer = if self.nodes.len() < other.nodes.len() { other } else { self };
+        (0..longer.nodes.len()).find(|&i| !same(i)).map(|i| longer.nodes[i])
     }
 
     fn rebuild(&mut self, root: NodeKey, nodes: &SlotMap<NodeKey, Node>, cores: &SlotMap<CoreKey, CoreSlot>) {
         self.clear(nodes.len());
         let (mut current, mut parent) = (root, Self::NO_PARENT);
         'down: loop {
-            let index = self.push(current, parent, own(&nodes[current], cores));
-            if let Some(child) = nodes[current].first_child {
+            let node = &nodes[current];
+            let index = self.push(current, parent, Own::new(node, &cores[node.core].core));
+            if let Some(child) = node.first_child {
                 (current, parent) = (child, index);
                 continue;
             }
@@ -218,6 +220,7 @@ impl Hierarchy {
         self.parents.reserve(capacity);
         self.subtree_ends.reserve(capacity);
         self.own.reserve(capacity);
+        self.indices.set_capacity(capacity);
     }
 
     fn push(&mut self, node: NodeKey, parent: u32, own: Own) -> u32 {
@@ -230,7 +233,8 @@ impl Hierarchy {
         index
     }
 
-    /// Computes worlds, masks and visibilities of a range from those of the parents, which are right or lie in the range.
+    /// Computes worlds, masks and visibilities of a range from those of the parents, which are right or lie in the
+    /// range.
     fn propagate(&mut self, range: Range<usize>) {
         for index in range {
             let own = &self.own[index];
@@ -248,10 +252,12 @@ impl Hierarchy {
     }
 }
 
-fn own(node: &Node, cores: &SlotMap<CoreKey, CoreSlot>) -> Own {
-    let (local, has_transform) = match &cores[node.core].core {
-        Core::Transform(transform) => (transform.to_affine(), true),
-        _ => (DAffine3::IDENTITY, false),
-    };
-    Own { local, mask: node.mask, visible: node.visible, has_transform }
+impl Own {
+    fn new(node: &Node, core: &Core) -> Self {
+        let (local, has_transform) = match core {
+            Core::Transform(transform) => (transform.to_affine(), true),
+            _ => (DAffine3::IDENTITY, false),
+        };
+        Self { local, mask: node.mask, visible: node.visible, has_transform }
+    }
 }

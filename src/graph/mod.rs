@@ -1,8 +1,10 @@
 //! The retained scene graph: nodes, cores, the change log.
 //!
-//! [`Scene`] owns everything. Its edits and getters stand in files of their own: `structure` (the tree), `cores`, `assets`, `query`.
+//! [`Scene`] owns everything. Its edits and getters stand in files of their own: `structure` (the tree), `cores`,
+//! `assets`, `query`.
 
 mod assets;
+mod bit_set;
 mod camera;
 mod changes;
 mod core;

@@ -2,7 +2,8 @@
 
 use super::{CoreKey, NodeKey};
 
-/// A node as the scene stores it. All lists are linked through the nodes themselves, so that every edit of them is O(1).
+/// A node as the scene stores it. All lists are linked through the nodes themselves, so that every edit of them is
+/// O(1).
 #[derive(Debug)]
 pub(super) struct Node {
     pub(super) parent: Option<NodeKey>,
@@ -15,8 +16,6 @@ pub(super) struct Node {
     pub(super) next_user: Option<NodeKey>,
     pub(super) mask: u32,
     pub(super) visible: bool,
-    /// Whether it is in the list of nodes that the hierarchy has to look at.
-    pub(super) stale: bool,
     pub(super) name: Box<str>,
 }
 
@@ -34,7 +33,6 @@ impl Node {
             next_user: None,
             mask: u32::MAX,
             visible: true,
-            stale: false,
             name: Box::default(),
         }
     }

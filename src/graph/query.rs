@@ -59,14 +59,15 @@ impl Scene {
         self.descendants(self.root).ok()?.find(|&node| *self.nodes[node].name == *name)
     }
 
-    /// `world_from_local`: the product of the transforms from the root down to the node, its own included. O(depth), or O(1) while the
-    /// [`hierarchy`](Self::hierarchy) is up to date; the result is the same, bit for bit. Not finite where the product overflows.
+    /// `world_from_local`: the product of the transforms from the root down to the node, its own included. O(depth),
+    /// or O(1) while the [`hierarchy`](Self::hierarchy) is up to date; the result is the same, bit for bit. Not finite
+    /// where the product overflows.
     ///
     /// # Errors
     /// [`Error::StaleKey`](crate::Error::StaleKey).
     pub fn world(&self, node: NodeKey) -> Result<DAffine3> {
         let own = self.core(node)?;
-        if self.stale.is_empty()
+        if self.hierarchy.is_up_to_date()
             && let Some(index) = self.hierarchy.index(node)
         {
             return Ok(self.hierarchy.worlds()[index]);
@@ -76,7 +77,8 @@ impl Scene {
         Ok(locals.into_iter().rev().fold(DAffine3::IDENTITY, |world, local| world * local))
     }
 
-    /// The world space box around the boxes of all geometry at and below the node, shown or not. Empty without any. O(nodes below).
+    /// The world space box around the boxes of all geometry at and below the node, shown or not. Empty without any.
+    /// O(nodes below).
     ///
     /// It holds all triangles, and is tight unless geometry is rotated: then it bounds the rotated boxes.
     ///
@@ -93,7 +95,7 @@ impl Scene {
             let core = &self.cores[slot.core].core;
             let own_world = local_affine(core).map_or(world, |local| world * local);
             if let Core::Geometry { geometry, .. } = *core {
-                bounds = bounds.union(self.geometries[geometry].bounds.transformed(&own_world));
+                bounds = bounds.union(self.geometries[geometry].value.bounds.transformed(&own_world));
             }
             if let Some(child) = slot.first_child {
                 worlds.push(own_world);

@@ -4,23 +4,27 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use slotmap::SlotMap;
 
-use super::assets::Used;
+use super::assets::{StoredGeometry, Used};
 use super::changes::{Change, ChangeLog, Changes, Cursor};
 use super::core::CoreSlot;
-use super::hierarchy::{Hierarchy, Stale};
+use super::hierarchy::Hierarchy;
 use super::node::Node;
-use super::{Core, CoreKey, Geometry, GeometryKey, Material, MaterialKey, NodeKey, Object, Texture, TextureKey};
+use super::{Core, CoreKey, GeometryKey, Material, MaterialKey, NodeKey, Object, Texture, TextureKey};
 use crate::{Error, Result};
 
 /// A retained scene graph.
 ///
-/// A scene is a tree of nodes below one root. Each node has one parent, ordered children, one [`Core`] that says what it is, a name,
-/// a traversal mask and a visibility. Cores refer to geometries and materials, materials to textures; all of these can be
-/// shared, and live as long as somebody uses them. One that was never used stays until it has been used and released,
-/// or until [`remove_unused`](Self::remove_unused).
+/// A scene is a tree of nodes below one root. Each node has one parent, ordered children, one [`Core`] that says what
+/// it is, a name, a traversal mask and a visibility. Cores refer to geometries and materials, materials to textures;
+/// all of these can be shared, and live as long as somebody uses them. One that was never used stays until it has been
+/// used and released, or until [`remove_unused`](Self::remove_unused).
 ///
-/// Everything is named by keys that stay valid until the object goes. A stale key is [`Error::StaleKey`]. A call that returns an
-/// error has left the scene as it was. There is nothing to commit: every getter answers from the current state.
+/// Everything is named by keys that stay valid until the object goes. A stale key is [`Error::StaleKey`]. A call that
+/// returns an error has left the scene as it was. There is nothing to commit: every getter answers from the current
+/// state.
+///
+/// Not guaranteed: that a key of another scene is found out. Keys do not tell their scene, so it may name something
+/// here.
 ///
 /// ```
 /// use glam::{DVec3, Vec3};
@@ -57,12 +61,11 @@ pub struct Scene {
     pub(super) root: NodeKey,
     pub(super) nodes: SlotMap<NodeKey, Node>,
     pub(super) cores: SlotMap<CoreKey, CoreSlot>,
-    pub(super) geometries: SlotMap<GeometryKey, Used<Geometry>>,
+    pub(super) geometries: SlotMap<GeometryKey, Used<StoredGeometry>>,
     pub(super) materials: SlotMap<MaterialKey, Used<Material>>,
     pub(super) textures: SlotMap<TextureKey, Used<Texture>>,
     pub(super) log: ChangeLog,
     pub(super) hierarchy: Hierarchy,
-    pub(super) stale: Stale,
     revision: u64,
 }
 
@@ -93,8 +96,7 @@ impl Scene {
             materials: SlotMap::with_key(),
             textures: SlotMap::with_key(),
             log: ChangeLog::default(),
-            hierarchy: Hierarchy::default(),
-            stale: Stale::structure(),
+            hierarchy: Hierarchy::new(),
             revision: 0,
         };
         scene.link_user(scene.root, core);
@@ -143,27 +145,29 @@ impl Scene {
 
     /// Triangles stored: those of each geometry once. O(geometries).
     pub fn triangle_count(&self) -> u64 {
-        self.geometries.values().map(|used| used.value.indices.len() as u64).sum()
+        self.geometries.values().map(|used| used.value.geometry.indices.len() as u64).sum()
     }
 
     /// Triangles seen: those of each geometry once for every node that shows it, visible or not. O(cores).
     pub fn instanced_triangle_count(&self) -> u64 {
         let triangles = |slot: &CoreSlot| match slot.core {
-            Core::Geometry { geometry, .. } => self.geometries[geometry].value.indices.len() as u64,
+            Core::Geometry { geometry, .. } => self.geometries[geometry].value.geometry.indices.len() as u64,
             _ => 0,
         };
         self.cores.values().map(|slot| triangles(slot) * slot.user_count as u64).sum()
     }
 
-    /// A cursor into the log of changes, for one consumer. Its first read gives [`Changes::Everything`]. Equal to `Cursor::default()`.
+    /// A cursor into the log of changes, for one consumer. Its first read gives [`Changes::Everything`]. Equal to
+    /// `Cursor::default()`.
     pub fn subscribe(&self) -> Cursor {
         Cursor::default()
     }
 
     /// What has changed since the last read with this cursor, each object once; moves the cursor to now.
     ///
-    /// A cursor that has not read from this scene before gets [`Changes::Everything`] and belongs to this scene from then on, so
-    /// that a consumer needs no care when it is given another scene. O(changes since), of which one object's many count once.
+    /// A cursor that has not read from this scene before gets [`Changes::Everything`] and belongs to this scene from
+    /// then on, so that a consumer needs no care when it is given another scene. O(changes since), of which one
+    /// object's many count once; O(nodes + cores) the first time.
     ///
     /// ```
     /// use ropewalk::{Change, Changes, Core, Object, Scene};
@@ -180,18 +184,23 @@ impl Scene {
     /// # Ok::<(), ropewalk::Error>(())
     /// ```
     pub fn changes_since(&mut self, cursor: &mut Cursor) -> Changes {
-        self.log.read(self.id, cursor)
+        let changes = self.log.read(self.id, cursor);
+        if changes == Changes::Everything {
+            // Not at the first edit, which may be a small one.
+            self.log.make_room(self.nodes.keys().last(), self.cores.keys().last());
+        }
+        changes
     }
 
-    /// Brings the preorder arrays up to date and gives them out. O(1) where nothing changed, O(subtrees changed) after changes of
-    /// transforms, masks and visibility, O(nodes) after structural changes.
+    /// Brings the preorder arrays up to date and gives them out. O(1) where nothing changed, O(subtrees changed) after
+    /// changes of transforms, masks and visibility, O(nodes) after structural changes.
     pub fn hierarchy(&mut self) -> &Hierarchy {
         self.with_hierarchy().1
     }
 
     /// As [`hierarchy`](Self::hierarchy), together with the scene that it describes.
     pub fn with_hierarchy(&mut self) -> (&Self, &Hierarchy) {
-        self.hierarchy.update(self.root, &mut self.nodes, &mut self.cores, &mut self.stale);
+        self.hierarchy.update(self.root, &self.nodes, &self.cores);
         (self, &self.hierarchy)
     }
 

@@ -1,6 +1,6 @@
 //! Edits of the tree: add, remove, reparent; and what every node has: name, mask, visibility.
 
-use glam::DAffine3;
+use glam::{DAffine3, DVec3};
 
 use super::changes::Change;
 use super::node::Node;
@@ -12,20 +12,21 @@ impl Scene {
     /// Adds a node as the last child of `parent`: visible, with all bits of its mask set and an empty name. O(1).
     ///
     /// # Errors
-    /// [`Error::StaleKey`] for the parent or what the core refers to; [`Error::OutOfRange`] for a bad number in a new core.
+    /// [`Error::StaleKey`] for the parent or what the core refers to; [`Error::OutOfRange`] for a bad number in a new
+    /// core.
     pub fn add(&mut self, parent: NodeKey, core: impl Into<CoreSource>) -> Result<NodeKey> {
         self.node(parent)?;
         let core = self.obtain_core(core.into())?;
         let node = self.nodes.insert(Node::new(core));
         self.link_user(node, core);
         self.link_child(node, parent);
-        self.stale.mark_structure();
+        self.hierarchy.structure_changed();
         self.record(node, Change::ADDED);
         Ok(node)
     }
 
-    /// Removes a node and everything below it, and frees the cores, geometries, materials and textures that only these used.
-    /// O(nodes removed).
+    /// Removes a node and everything below it, and frees the cores, geometries, materials and textures that only these
+    /// used. O(nodes removed).
     ///
     /// # Errors
     /// [`Error::StaleKey`]; [`Error::Root`] for the root.
@@ -35,7 +36,7 @@ impl Scene {
             return Err(Error::Root { attempt: "removed" });
         }
         self.unlink_child(node);
-        self.stale.mark_structure();
+        self.hierarchy.structure_changed();
 
         // Bottom up, so that a node's links are there as long as they are needed.
         let mut current = self.first_leaf(node);
@@ -53,16 +54,17 @@ impl Scene {
         }
     }
 
-    /// Makes `node` the last child of `parent`, with everything below it. Its current parent changes nothing, its place among
-    /// its siblings included. O(depth), to find cycles.
+    /// Makes `node` the last child of `parent`, with everything below it. Its current parent changes nothing, its
+    /// place among its siblings included. O(depth), to find cycles.
     ///
-    /// With [`Keep::World`] the node gets the local transform that leaves its world transform as it is, up to rounding, as a matrix. Where
-    /// others share its transform core, it gets one of its own first, and the others stay where they are.
+    /// With [`Keep::World`] the node gets the local transform that leaves its world transform as it is, up to
+    /// rounding, as a matrix. Where others share its transform core, it gets one of its own first, and the others stay
+    /// where they are.
     ///
     /// # Errors
-    /// [`Error::StaleKey`]; [`Error::Root`] for the root; [`Error::Cycle`] if `parent` is `node` or below it. With [`Keep::World`]
-    /// also [`Error::WrongCore`] if the node has no transform, and [`Error::Singular`] if the new parent's
-    /// world transform cannot be inverted: some scale above it is 0, or too large or small for f64.
+    /// [`Error::StaleKey`]; [`Error::Root`] for the root; [`Error::Cycle`] if `parent` is `node` or below it. With
+    /// [`Keep::World`] also [`Error::WrongCore`] if the node has no transform, and [`Error::Singular`] if the new
+    /// parent's world transform cannot be inverted: some scale above it is 0, or too large or small for f64.
     pub fn reparent(&mut self, node: NodeKey, parent: NodeKey, keep: Keep) -> Result<()> {
         self.node(node)?;
         self.node(parent)?;
@@ -79,7 +81,7 @@ impl Scene {
         if self.nodes[node].parent != Some(parent) {
             self.unlink_child(node);
             self.link_child(node, parent);
-            self.stale.mark_structure();
+            self.hierarchy.structure_changed();
             self.record(node, Change::PARENT);
         }
         match local {
@@ -126,7 +128,8 @@ impl Scene {
         Ok(())
     }
 
-    /// The node's own traversal mask. Rays see what is below it if they share a bit with it and with all masks above it.
+    /// The node's own traversal mask. Rays see what is below it if they share a bit with it and with all masks above
+    /// it.
     ///
     /// # Errors
     /// [`Error::StaleKey`].
@@ -141,7 +144,7 @@ impl Scene {
     pub fn set_mask(&mut self, node: NodeKey, mask: u32) -> Result<()> {
         if self.node(node)?.mask != mask {
             self.nodes[node].mask = mask;
-            self.stale.mark_node(node, &mut self.nodes);
+            self.node_changed(node);
             self.record(node, Change::MASK);
         }
         Ok(())
@@ -162,7 +165,7 @@ impl Scene {
     pub fn set_visible(&mut self, node: NodeKey, visible: bool) -> Result<()> {
         if self.node(node)?.visible != visible {
             self.nodes[node].visible = visible;
-            self.stale.mark_node(node, &mut self.nodes);
+            self.node_changed(node);
             self.record(node, Change::VISIBILITY);
         }
         Ok(())
@@ -195,15 +198,19 @@ impl Scene {
     }
 }
 
-/// Whether `parent * local` is `world` up to rounding.
+/// Whether `parent * local` is `world` up to rounding: each axis relative to its own length, the place relative to its
+/// distance.
 fn keeps_world(parent: &DAffine3, local: &DAffine3, world: &DAffine3) -> bool {
     /// Far above rounding, far below what can be seen.
     const TOLERANCE: f64 = 1e-6;
 
     let result = *parent * *local;
-    let largest = |m: &glam::DMat3| m.to_cols_array().into_iter().fold(0.0, |a: f64, b| a.max(b.abs()));
-    let turned = largest(&(result.matrix3 - world.matrix3)) <= TOLERANCE * largest(&world.matrix3);
+    let close = |a: DVec3, b: DVec3, extent: f64| (a - b).abs().max_element() <= TOLERANCE * extent;
+    let axis_kept = |i| {
+        let axis = world.matrix3.col(i);
+        close(result.matrix3.col(i), axis, axis.abs().max_element())
+    };
     let extent = world.translation.abs().max_element().max(parent.translation.abs().max_element());
-    let moved = (result.translation - world.translation).abs().max_element() <= TOLERANCE * extent;
-    local.is_finite() && turned && moved
+    let finite = [local, world, &result].into_iter().all(DAffine3::is_finite);
+    finite && (0..3).all(axis_kept) && close(result.translation, world.translation, extent)
 }

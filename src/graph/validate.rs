@@ -1,24 +1,116 @@
 //! The scene's own check of itself.
 
-use super::{NodeKey, Scene};
+use slotmap::{Key, SlotMap};
+
+use super::assets::Used;
+use super::hierarchy::Hierarchy;
+use super::node::Node;
+use super::ranges::{check_core, check_material, check_texture};
+use super::{Core, NodeKey, Object, Scene};
 use crate::{Error, Result};
 
 impl Scene {
-    /// Checks all that must hold whatever was called: links, users, counts, the log, and the hierarchy where it is up to date.
-    /// O(everything). For tests: no call breaks it.
+    /// Checks all that must hold whatever was called: links, users, counts, values, the log, and the hierarchy where
+    /// it is up to date. O(everything). For tests: no call breaks it.
     ///
     /// # Errors
-    /// [`Error::Defect`] with the first object that is wrong.
+    /// [`Error::Defect`] with the first object that is wrong; what a setter would have said of a value that should not
+    /// be there.
     pub fn validate(&self) -> Result<()> {
-        self.validate_tree()
+        self.validate_tree()?;
+        self.validate_cores()?;
+        self.validate_assets()?;
+        self.log.validate(self.root)?;
+        if self.hierarchy.is_up_to_date() { self.validate_hierarchy() } else { Ok(()) }
     }
 
+    /// Every link has its counterpart, and the links lead to every node once.
     fn validate_tree(&self) -> Result<()> {
+        for (key, node) in &self.nodes {
+            check(node.parent.is_none() == (key == self.root), key, "only the root has no parent")?;
+            let links = [node.parent, node.first_child, node.last_child, node.previous_sibling, node.next_sibling];
+            check(links.iter().flatten().all(|&link| self.contains(link)), key, "a link leads out of the scene")?;
+
+            let family = |link: Option<NodeKey>| link.map(|link| &self.nodes[link]);
+            let first_fits = family(node.first_child)
+                .is_none_or(|child| child.parent == Some(key) && child.previous_sibling.is_none());
+            let last_fits =
+                family(node.last_child).is_none_or(|child| child.parent == Some(key) && child.next_sibling.is_none());
+            let next_fits = family(node.next_sibling)
+                .is_none_or(|next| next.parent == node.parent && next.previous_sibling == Some(key));
+            let ends_fit = node.first_child.is_some() == node.last_child.is_some();
+            check(first_fits && last_fits && ends_fit, key, "its children are not linked to it")?;
+            check(next_fits, key, "its next sibling is not linked to it")?;
+        }
         let reached = self.descendants(self.root)?.take(self.nodes.len() + 1).count();
-        check(reached == self.nodes.len(), self.root, "some nodes are not below the root, or are there twice")
+        check(reached == self.nodes.len(), self.root, "some nodes are not below it, or are there twice")
+    }
+
+    /// Every node is among the users of its core, and nobody else.
+    fn validate_cores(&self) -> Result<()> {
+        check(*self.core(self.root)? == Core::Group, self.root, "the root is not a group")?;
+        let is_user = |node: &Node, previous, core| node.core == core && node.previous_user == previous;
+        let mut user_count = 0;
+        for (key, slot) in &self.cores {
+            let (mut previous, mut next, mut found) = (None, slot.first_user, 0);
+            while let Some(user) = next {
+                let node = self.node(user)?;
+                check(is_user(node, previous, key), user, "it is not linked to the users of its core")?;
+                (previous, next, found) = (next, node.next_user, found + 1);
+                check(found <= slot.user_count, key, "it has more users than it counts")?;
+            }
+            check(found == slot.user_count, key, "it has fewer users than it counts")?;
+            user_count += found;
+            check_core(&slot.core)?;
+        }
+        check(user_count == self.nodes.len(), self.root, "some nodes are not users of their cores")
+    }
+
+    /// Every count is the number of references that there are, and every value is allowed.
+    fn validate_assets(&self) -> Result<()> {
+        let references = || {
+            self.cores.values().filter_map(|slot| match slot.core {
+                Core::Geometry { geometry, material } => Some((geometry, material)),
+                _ => None,
+            })
+        };
+        validate_counts(&self.geometries, references().map(|(geometry, _)| geometry))?;
+        validate_counts(&self.materials, references().map(|(_, material)| material))?;
+        let materials = self.materials.values().map(|used| &used.value);
+        validate_counts(&self.textures, materials.clone().flat_map(|m| m.textures().map(|t| t.texture)))?;
+
+        self.geometries.values().try_for_each(|used| used.value.geometry.validate())?;
+        self.textures.values().try_for_each(|used| check_texture(&used.value))?;
+        materials.into_iter().try_for_each(check_material)
+    }
+
+    /// The arrays are what they would be if they were built now.
+    fn validate_hierarchy(&self) -> Result<()> {
+        let mut fresh = Hierarchy::new();
+        fresh.update(self.root, &self.nodes, &self.cores);
+        match self.hierarchy.first_difference(&fresh) {
+            None => Ok(()),
+            Some(node) => check(false, node, "the hierarchy shows it otherwise than it is"),
+        }
     }
 }
 
-fn check(holds: bool, node: NodeKey, what: &'static str) -> Result<()> {
-    if holds { Ok(()) } else { Err(Error::Defect { object: node.into(), what }) }
+/// Whether each asset's count is the number of references to it.
+fn validate_counts<K: Key + Into<Object>, V>(
+    assets: &SlotMap<K, Used<V>>,
+    references: impl Iterator<Item = K>,
+) -> Result<()> {
+    let mut counts: slotmap::SecondaryMap<K, usize> = assets.keys().map(|key| (key, 0)).collect();
+    for key in references {
+        let count = counts.get_mut(key);
+        *count.ok_or(Error::Defect { object: key.into(), what: "it is referred to, but gone" })? += 1;
+    }
+    for (key, used) in assets {
+        check(counts[key] == used.user_count, key, "its users are not those that it counts")?;
+    }
+    Ok(())
+}
+
+pub(super) fn check(holds: bool, object: impl Into<Object>, what: &'static str) -> Result<()> {
+    if holds { Ok(()) } else { Err(Error::Defect { object: object.into(), what }) }
 }

@@ -1,6 +1,15 @@
-//! Linear images with what was seen in each pixel.
+//! Linear images with what was seen in each pixel, and their way to a display and to files.
+
+mod encode;
+mod metric;
+mod save;
+mod tonemap;
+
+pub use metric::{PIXELS_PER_DEGREE, flip};
+pub use tonemap::{neutral, srgb_from_linear};
 
 use crate::graph::NodeKey;
+use crate::{Error, Result};
 
 /// A rendered image: linear RGBA, row by row from the top.
 #[derive(Clone, Debug, PartialEq)]
@@ -26,4 +35,106 @@ pub struct Aovs {
     pub node: Vec<NodeKey>,
     /// The triangle's index in its geometry; `u32::MAX` where nothing was met.
     pub triangle: Vec<u32>,
+}
+
+impl Image {
+    /// What a display shows: each pixel tone mapped by [`neutral`] and sRGB encoded, 8 bits a channel, rounded to nearest.
+    /// Alpha is linear. A number that is not finite does no harm: NaN and negative numbers are 0, infinity is white. O(pixels).
+    pub fn to_rgba8(&self) -> Vec<[u8; 4]> {
+        self.color.iter().map(|&pixel| tonemap::rgba8(pixel)).collect()
+    }
+
+    /// An image `1 / factor` as wide and high, each pixel the mean of `factor * factor` of this one's: rendering larger and
+    /// averaging smooths edges. A mean of depths or ids has no meaning, so the AOVs are those of each block's first pixel.
+    /// Rows and columns left over at the right and bottom are dropped. O(pixels).
+    ///
+    /// # Errors
+    /// [`Error::OutOfRange`] where `factor` is 0 or larger than the image, or an array has not `width * height` elements.
+    pub fn downscaled(&self, factor: u32) -> Result<Self> {
+        self.validate()?;
+        if factor == 0 || factor > self.width.min(self.height) {
+            let expected = "between 1 and the image's width and height";
+            return Err(Error::OutOfRange { what: "the factor to downscale by", value: factor.to_string(), expected });
+        }
+
+        let (width, height) = (self.width / factor, self.height / factor);
+        let pixels = || (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
+        let first = |(x, y): (u32, u32)| (y * factor) as usize * self.width as usize + (x * factor) as usize;
+        let mean = |pixel| {
+            let rows = (0..factor as usize).map(|row| first(pixel) + row * self.width as usize);
+            let mut sum = glam::Vec4::ZERO;
+            for start in rows {
+                sum +=
+                    self.color[start..start + factor as usize].iter().map(|&c| glam::Vec4::from(c)).sum::<glam::Vec4>();
+            }
+            (sum / (factor * factor) as f32).to_array()
+        };
+        let aovs = self.aovs.as_ref().map(|aovs| Aovs {
+            depth: pixels().map(|p| aovs.depth[first(p)]).collect(),
+            normal: pixels().map(|p| aovs.normal[first(p)]).collect(),
+            node: pixels().map(|p| aovs.node[first(p)]).collect(),
+            triangle: pixels().map(|p| aovs.triangle[first(p)]).collect(),
+        });
+        Ok(Self { width, height, color: pixels().map(mean).collect(), aovs })
+    }
+
+    /// Checks that every array has `width * height` elements.
+    fn validate(&self) -> Result<()> {
+        let expected = u64::from(self.width) * u64::from(self.height);
+        let check = |what, len: usize| {
+            if len as u64 == expected {
+                return Ok(());
+            }
+            Err(Error::OutOfRange { what, value: len.to_string(), expected: "the image's width times its height" })
+        };
+        check("the number of colours of an image", self.color.len())?;
+        if let Some(aovs) = &self.aovs {
+            check("the number of depths of an image", aovs.depth.len())?;
+            check("the number of normals of an image", aovs.normal.len())?;
+            check("the number of nodes of an image", aovs.node.len())?;
+            check("the number of triangles of an image", aovs.triangle.len())?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn image(width: u32, height: u32, color: Vec<[f32; 4]>) -> Image {
+        Image { width, height, color, aovs: None }
+    }
+
+    #[test]
+    fn downscaling_takes_the_mean_of_each_block() {
+        let color = (0..15).map(|i| [i as f32, 2.0 * i as f32, -(i as f32), 1.0]).collect();
+        let half = image(5, 3, color).downscaled(2).unwrap();
+        assert_eq!((half.width, half.height), (2, 1));
+        // Blocks {0, 1, 5, 6} and {2, 3, 7, 8}; column 4 and row 2 are left over.
+        assert_eq!(half.color, [[3.0, 6.0, -3.0, 1.0], [5.0, 10.0, -5.0, 1.0]]);
+    }
+
+    #[test]
+    fn downscaling_keeps_the_first_pixels_aovs() {
+        let mut full = image(4, 2, vec![[0.0; 4]; 8]);
+        full.aovs = Some(Aovs {
+            depth: (0..8).map(|i| i as f32).collect(),
+            normal: vec![[0.0, 1.0, 0.0]; 8],
+            node: vec![NodeKey::default(); 8],
+            triangle: (0..8).collect(),
+        });
+        let half = full.downscaled(2).unwrap().aovs.unwrap();
+        assert_eq!(half.triangle, [0, 2]);
+        assert_eq!(half.depth, [0.0, 2.0]);
+    }
+
+    #[test]
+    fn impossible_factors_and_images_are_errors() {
+        let good = image(2, 2, vec![[0.0; 4]; 4]);
+        assert!(good.downscaled(0).is_err());
+        assert!(good.downscaled(3).is_err());
+        assert!(image(2, 2, vec![[0.0; 4]; 3]).downscaled(1).is_err());
+        assert!(image(u32::MAX, u32::MAX, Vec::new()).downscaled(1).is_err());
+    }
 }

@@ -1,0 +1,143 @@
+//! The command line.
+
+use std::path::{Path, PathBuf};
+
+use clap::error::ErrorKind;
+use clap::{Parser, ValueEnum};
+use ropewalk::{DeviceChoice, View};
+
+/// Renders a glTF file, or without one a scene made in code, to an image.
+#[derive(Debug, Parser)]
+#[command(name = "render", version, about)]
+pub(crate) struct Arguments {
+    /// A .gltf or .glb file; without one, a scene made in code is rendered
+    pub(crate) file: Option<PathBuf>,
+    /// The image to write: .png (8 bit, sRGB) or .exr (32 bit float, linear)
+    #[arg(short, long, value_name = "FILE", default_value = "out.png", value_parser = parse_output)]
+    pub(crate) output: PathBuf,
+    /// Pixels of the image
+    #[arg(long, value_name = "WxH", default_value = "960x600", value_parser = parse_size)]
+    pub(crate) size: (u32, u32),
+    /// Rays along each side of a pixel, averaged: 1 is fastest, 2 or more smooths edges
+    #[arg(long, value_name = "N", default_value = "2", value_parser = clap::value_parser!(u32).range(1..=16))]
+    pub(crate) samples: u32,
+    /// What traces the rays; auto is a GPU if there is one, else the CPU
+    #[arg(long, value_enum, default_value_t)]
+    pub(crate) device: Device,
+    /// Reflections and refractions that a ray may have
+    #[arg(long, value_name = "N", default_value = "3",
+          value_parser = clap::value_parser!(u32).range(0..=i64::from(View::MAX_DEPTH)))]
+    pub(crate) depth: u32,
+    /// The camera to look through, by name or number (default: the first; without one, the whole scene is framed)
+    #[arg(long, value_name = "NAME|INDEX")]
+    pub(crate) camera: Option<String>,
+    /// The scene of the file, by name or number (default: the file's own default)
+    #[arg(long, value_name = "NAME|INDEX", requires = "file")]
+    pub(crate) scene: Option<String>,
+    /// Turntable: write N numbered images from all around
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub(crate) frames: Option<u32>,
+    /// Print what was done and how long it took
+    #[arg(long)]
+    pub(crate) stats: bool,
+    /// Print the same as JSON, and nothing else, to standard output
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+/// `--device`
+#[derive(Clone, Copy, Debug, Default, ValueEnum)]
+pub(crate) enum Device {
+    #[default]
+    Auto,
+    Gpu,
+    Cpu,
+    Emulated,
+}
+
+impl From<Device> for DeviceChoice {
+    fn from(device: Device) -> Self {
+        match device {
+            Device::Auto => Self::Auto,
+            Device::Gpu => Self::Gpu,
+            Device::Cpu => Self::Cpu,
+            Device::Emulated => Self::Emulated,
+        }
+    }
+}
+
+impl Arguments {
+    /// What the user typed, or one line that says what is wrong with it. Prints help and version itself and returns `None`.
+    pub(crate) fn from_command_line() -> Result<Option<Self>, String> {
+        let arguments = match Self::try_parse() {
+            Ok(arguments) => arguments,
+            Err(error) if matches!(error.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion) => {
+                return error.print().map(|()| None).map_err(|error| format!("standard output: {error}"));
+            }
+            Err(error) => return Err(one_line(&error)),
+        };
+        arguments.check_memory()?;
+        Ok(Some(arguments))
+    }
+
+    /// The size that is traced: that of the image times the samples.
+    pub(crate) fn traced_size(&self) -> (u32, u32) {
+        (self.size.0 * self.samples, self.size.1 * self.samples)
+    }
+
+    /// The file of a turntable's frame, counted from 1; `output` itself where there is no turntable.
+    pub(crate) fn output_of(&self, frame: u32) -> PathBuf {
+        let Some(frames) = self.frames else { return self.output.clone() };
+        let digits = frames.to_string().len();
+        let part = |part: Option<&std::ffi::OsStr>| part.unwrap_or_default().to_string_lossy().into_owned();
+        let (stem, extension) = (part(self.output.file_stem()), part(self.output.extension()));
+        self.output.with_file_name(format!("{stem}-{frame:0digits$}.{extension}"))
+    }
+
+    fn check_memory(&self) -> Result<(), String> {
+        /// 2 GiB of colour.
+        const MOST_SAMPLES: u64 = 1 << 27;
+
+        let (width, height) = self.traced_size();
+        let samples = u64::from(width) * u64::from(height);
+        if samples <= MOST_SAMPLES {
+            return Ok(());
+        }
+        Err(format!(
+            "--size and --samples ask for {samples} rays an image, but at most {MOST_SAMPLES} are traced at once"
+        ))
+    }
+}
+
+/// What clap says in several lines, without the usage.
+fn one_line(error: &clap::Error) -> String {
+    let text = error.to_string();
+    let said =
+        text.lines().map(str::trim).take_while(|line| !line.starts_with("Usage:") && !line.starts_with("For more"));
+    let line = said.filter(|line| !line.is_empty()).collect::<Vec<_>>().join(" ");
+    line.trim_start_matches("error: ").to_owned()
+}
+
+fn parse_size(text: &str) -> Result<(u32, u32), String> {
+    /// What a texture of a GPU may measure.
+    const MOST: u32 = 16_384;
+
+    let parsed = text.split_once(['x', 'X']).and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
+    match parsed {
+        Some((width, height)) if (1..=MOST).contains(&width) && (1..=MOST).contains(&height) => Ok((width, height)),
+        _ => Err(format!("expected two numbers from 1 to {MOST}, as in 960x600")),
+    }
+}
+
+/// Refuses what could not be written before anything is rendered.
+fn parse_output(text: &str) -> Result<PathBuf, String> {
+    let path = Path::new(text);
+    // The path is in clap's own message already.
+    ropewalk::image::Image::check_format(path).map_err(|_| "the name must end in .png or .exr".to_owned())?;
+    match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() && !folder.is_dir() => {
+            Err(format!("there is no folder {}", folder.display()))
+        }
+        _ => Ok(path.to_owned()),
+    }
+}

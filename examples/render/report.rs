@@ -1,0 +1,129 @@
+//! What was done and how long it took: as tables, or as JSON.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use comfy_table::Table;
+use comfy_table::presets::UTF8_FULL_CONDENSED;
+use ropewalk::FrameReport;
+use ropewalk::gltf::{ImportCounts, NotHonoured};
+use serde::{Serialize, Serializer};
+
+/// One run of the program. Times are in seconds.
+#[derive(Serialize)]
+pub(crate) struct Report {
+    /// The file rendered; none for the built-in scene.
+    pub(crate) file: Option<PathBuf>,
+    /// What the file gave.
+    pub(crate) import: Option<ImportCounts>,
+    /// What of the file was not honoured, or not to the letter.
+    pub(crate) not_honoured: Vec<NotHonoured>,
+    /// Why the GPU was not used, where it was wanted.
+    pub(crate) fallback: Option<String>,
+    /// To read the file or make the scene.
+    #[serde(serialize_with = "seconds")]
+    pub(crate) load_time: Duration,
+    pub(crate) nodes: usize,
+    pub(crate) geometries: usize,
+    /// Pixels of each image.
+    pub(crate) size: (u32, u32),
+    /// Rays along each side of a pixel.
+    pub(crate) samples: u32,
+    pub(crate) frames: Vec<FrameEntry>,
+}
+
+/// One image.
+#[derive(Serialize)]
+pub(crate) struct FrameEntry {
+    pub(crate) output: PathBuf,
+    #[serde(flatten)]
+    pub(crate) report: FrameReport,
+    /// From the end of the call that renders it until the frame was in main memory.
+    #[serde(serialize_with = "seconds")]
+    pub(crate) read_time: Duration,
+    /// To average the samples and to write the file.
+    #[serde(serialize_with = "seconds")]
+    pub(crate) save_time: Duration,
+}
+
+impl Report {
+    /// Two tables, the scene, and the time of each phase in the first frame and in those after it; below them what of the
+    /// file was not honoured.
+    pub(crate) fn to_tables(&self) -> String {
+        let Some((first, later)) = self.frames.split_first() else { return String::new() };
+        let mut text = format!("{}\n{}", self.scene_table(&first.report), phase_table(first, later));
+        for what in &self.not_honoured {
+            text += &format!("\nnot honoured: {what}");
+        }
+        text
+    }
+
+    /// All of it.
+    pub(crate) fn to_json(&self) -> Result<String, serde_json::Error> {
+        serde_json::to_string_pretty(self)
+    }
+
+    fn scene_table(&self, first: &FrameReport) -> Table {
+        let compile = &first.compile;
+        let needs: Vec<_> = compile.needs.iter_names().map(|(name, _)| name.to_lowercase().replace('_', " ")).collect();
+        let rays = u64::from(self.size.0) * u64::from(self.size.1) * u64::from(self.samples * self.samples);
+
+        let mut table = Table::new();
+        table.load_style(UTF8_FULL_CONDENSED);
+        table.set_header(["scene", &self.file.as_ref().map_or("built-in".into(), |file| file.display().to_string())]);
+        table.add_rows([
+            ["device", &format!("{} ({})", first.device.executor, first.device.name)],
+            ["image", &format!("{}x{}, {rays} primary rays", self.size.0, self.size.1)],
+            ["nodes", &self.nodes.to_string()],
+            ["geometries", &format!("{}, {} triangles", self.geometries, compile.triangles)],
+            ["instances", &format!("{}, {} triangles", compile.instances, compile.scene_triangles)],
+            ["instances that no ray can hit", &compile.singular_instances.to_string()],
+            [
+                "materials, textures, lights",
+                &format!("{}, {}, {}", compile.materials, compile.textures, compile.lights),
+            ],
+            ["in use", &needs.join(", ")],
+            ["device memory", &format!("{:.1} MiB", compile.device_bytes as f64 / f64::from(1 << 20))],
+            ["load", &milliseconds(self.load_time)],
+        ]);
+        table
+    }
+}
+
+fn phase_table(first: &FrameEntry, later: &[FrameEntry]) -> Table {
+    let compile = &first.report.compile;
+    let phases: [(&str, fn(&FrameEntry) -> Duration, String); 8] = [
+        ("update", |frame| frame.report.compile.update_time, String::new()),
+        ("bottom level", |frame| frame.report.compile.blas_time, format!("{} built", compile.blas_built)),
+        ("top level", |frame| frame.report.compile.tlas_time, compile.tlas.to_string()),
+        ("upload", |frame| frame.report.upload_time, format!("{} bytes", first.report.uploaded_bytes)),
+        ("trace", |frame| frame.report.trace_time, String::new()),
+        ("read back", |frame| frame.read_time, String::new()),
+        ("save", |frame| frame.save_time, String::new()),
+        ("total", |frame| frame.report.total_time + frame.read_time + frame.save_time, String::new()),
+    ];
+
+    let mut table = Table::new();
+    table.load_style(UTF8_FULL_CONDENSED);
+    let mut header = vec!["phase".to_owned(), "first frame".to_owned(), "what was done".to_owned()];
+    if !later.is_empty() {
+        header.push(format!("mean of {} later", later.len()));
+    }
+    table.set_header(header);
+    for (phase, time, done) in phases {
+        let mut row = vec![phase.to_owned(), milliseconds(time(first)), done];
+        if !later.is_empty() {
+            row.push(milliseconds(later.iter().map(time).sum::<Duration>() / later.len() as u32));
+        }
+        table.add_row(row);
+    }
+    table
+}
+
+fn milliseconds(time: Duration) -> String {
+    format!("{:.2} ms", time.as_secs_f64() * 1e3)
+}
+
+fn seconds<S: Serializer>(time: &Duration, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_f64(time.as_secs_f64())
+}

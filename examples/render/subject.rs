@@ -1,0 +1,120 @@
+//! What is rendered: the scene, and the cameras to see it through.
+
+use std::path::Path;
+
+use glam::{DAffine3, DMat3, DQuat, DVec3, Vec3};
+use ropewalk::gltf::{self, ImportOptions, ImportReport, SceneChoice};
+use ropewalk::{Core, Light, LightKind, NodeKey, Scene, Sky, Transform, View};
+
+use crate::arguments::Arguments;
+use crate::builtin;
+
+/// A scene and how it is seen.
+pub(crate) struct Subject {
+    pub(crate) scene: Scene,
+    /// What the file gave; none for the built-in scene.
+    pub(crate) import: Option<ImportReport>,
+    /// The first view; a turntable goes around from there.
+    view: View,
+    /// What a turntable turns about.
+    center: DVec3,
+}
+
+impl Subject {
+    /// Loads or makes what the arguments ask for.
+    pub(crate) fn load(arguments: &Arguments) -> Result<Self, String> {
+        let mut scene = Scene::new();
+        let (import, sky) = match &arguments.file {
+            Some(file) => (Some(import(file, arguments, &mut scene)?), neutral_sky()),
+            None => {
+                builtin::build(&mut scene).map_err(|error| format!("the built-in scene: {error}"))?;
+                (None, builtin::sky())
+            }
+        };
+
+        let mut view = first_view(&scene, arguments)?;
+        view.sky = sky;
+        view.max_depth = arguments.depth;
+        light_if_dark(&mut scene, &view).map_err(|error| error.to_string())?;
+
+        let bounds = scene.world_bounds(scene.root()).map_err(|error| error.to_string())?;
+        let center = if bounds.is_empty() { DVec3::ZERO } else { bounds.center() };
+        Ok(Self { scene, import, view, center })
+    }
+
+    /// The view of one of `frames` frames, counted from 0: the camera goes once around the middle of the scene.
+    pub(crate) fn view(&self, frame: u32, frames: u32) -> View {
+        let angle = std::f64::consts::TAU * f64::from(frame) / f64::from(frames);
+        let turned = DAffine3::from_mat3_translation(DMat3::from_quat(DQuat::from_rotation_y(angle)), self.center)
+            * DAffine3::from_translation(-self.center);
+        View { world_from_view: turned * self.view.world_from_view, ..self.view.clone() }
+    }
+}
+
+fn import(file: &Path, arguments: &Arguments, scene: &mut Scene) -> Result<ImportReport, String> {
+    let choice = |wanted: &String| match wanted.parse() {
+        Ok(index) => SceneChoice::Index(index),
+        Err(_) => SceneChoice::Name(wanted.clone()),
+    };
+    let options = ImportOptions { scene: arguments.scene.as_ref().map(choice) };
+    let root = scene.root();
+    gltf::import_with(file, &options, scene, root).map_err(|error| error.to_string())
+}
+
+/// Through the camera asked for, else the first, else from where everything is seen.
+fn first_view(scene: &Scene, arguments: &Arguments) -> Result<View, String> {
+    let (width, height) = arguments.traced_size();
+    let cameras = cores_of_kind(scene, |core| matches!(core, Core::Camera(_)));
+    let chosen = match &arguments.camera {
+        None => cameras.first().copied(),
+        Some(wanted) => Some(choose_camera(scene, &cameras, wanted)?),
+    };
+    match chosen {
+        Some(camera) => View::from_camera(scene, camera, width, height),
+        None => View::framing(scene, width, height),
+    }
+    .map_err(|error| error.to_string())
+}
+
+fn choose_camera(scene: &Scene, cameras: &[NodeKey], wanted: &str) -> Result<NodeKey, String> {
+    let names: Vec<&str> = cameras.iter().map(|&camera| camera_name(scene, camera)).collect();
+    let index = wanted.parse().ok().or_else(|| names.iter().position(|name| *name == wanted));
+    index.and_then(|index: usize| cameras.get(index)).copied().ok_or_else(|| {
+        let known = names.iter().enumerate().map(|(i, name)| format!("{i} {name:?}")).collect::<Vec<_>>();
+        match known.as_slice() {
+            [] => format!("there is no camera {wanted:?}: the scene has none"),
+            _ => format!("there is no camera {wanted:?}: the scene has {}", known.join(", ")),
+        }
+    })
+}
+
+/// The name of the camera, or of the node that places it.
+fn camera_name(scene: &Scene, camera: NodeKey) -> &str {
+    let name = scene.name(camera).unwrap_or_default();
+    let parent = scene.parent(camera).ok().flatten();
+    if name.is_empty() { parent.and_then(|parent| scene.name(parent).ok()).unwrap_or_default() } else { name }
+}
+
+/// Grey, and so dark that a white surface below it and the key light is not yet white in the image.
+fn neutral_sky() -> Sky {
+    let [zenith, horizon, ground] = [0.42, 0.50, 0.16].map(Vec3::splat);
+    Sky { zenith, horizon, ground, up: Vec3::Y }
+}
+
+/// Where there is no light, adds one from above the left shoulder of the viewer.
+fn light_if_dark(scene: &mut Scene, view: &View) -> ropewalk::Result<()> {
+    if !cores_of_kind(scene, |core| matches!(core, Core::Light(_))).is_empty() {
+        return Ok(());
+    }
+    let from = view.world_from_view.transform_vector3(DVec3::new(-0.5, 0.9, 0.7));
+    let pose = Transform::looking_at(from, DVec3::ZERO, DVec3::Y);
+    let key_light = scene.add(scene.root(), pose)?;
+    scene.set_name(key_light, "key light")?;
+    scene.add(key_light, Light { kind: LightKind::Directional, color: Vec3::ONE, intensity: 1.8, range: None })?;
+    Ok(())
+}
+
+fn cores_of_kind(scene: &Scene, is_kind: impl Fn(&Core) -> bool) -> Vec<NodeKey> {
+    let nodes = scene.descendants(scene.root()).into_iter().flatten();
+    nodes.filter(|&node| scene.core(node).is_ok_and(&is_kind)).collect()
+}

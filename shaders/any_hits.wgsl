@@ -1,0 +1,13 @@
+// For each ray of a batch whether it meets anything opaque (1) or not (0), one invocation a ray.
+
+@group(1) @binding(0) var<uniform> batch: RayBatch;
+@group(1) @binding(1) var<storage, read> rays: array<Ray>;
+@group(1) @binding(2) var<storage, read_write> blocked: array<u32>;
+
+@compute @workgroup_size(64)
+fn any_hits(@builtin(global_invocation_id) id: vec3<u32>) {
+    if id.x < batch.count {
+        let i = batch.first + id.x;
+        blocked[i] = select(0u, 1u, any_hit(rays[i], batch.ray_mask));
+    }
+}

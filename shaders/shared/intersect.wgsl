@@ -1,0 +1,136 @@
+// Ray against box and ray against triangle. Twin of src/trace/kernel/intersect.rs: the proofs are there.
+
+const BOX_SLACK: f32 = 1.0 - 0x1p-18;
+const LEAST_SHARE: f32 = 0x1p-64;
+const LEAST_COMPONENT: f32 = 0x1p-120;
+const CORNER_TOLERANCE: f32 = 0x1p-22;
+const EDGE_TOLERANCE: f32 = 0x1p-21;
+
+// A ray as boxes see it.
+struct SlabRay {
+    origin: vec3<f32>,
+    reciprocal: vec3<f32>,
+}
+
+// A ray as triangles see it: the rows of a shear that takes it to the z axis, and of what takes points to t.
+struct ShearRay {
+    origin: vec3<f32>,
+    x_row: vec3<f32>,
+    y_row: vec3<f32>,
+    t_row: vec3<f32>,
+    // From t to the unit of the sheared x and y.
+    depth_scale: f32,
+}
+
+// Where a ray meets a triangle's plane within its edges.
+struct Crossing {
+    t: f32,
+    u: f32,
+    v: f32,
+    // The ray came from the side where the triangle winds clockwise.
+    back: bool,
+    is_hit: bool,
+}
+
+fn min_component(v: vec3<f32>) -> f32 {
+    return min(min(v.x, v.y), v.z);
+}
+
+fn max_component(v: vec3<f32>) -> f32 {
+    return max(max(v.x, v.y), v.z);
+}
+
+fn slab_ray(origin: vec3<f32>, direction: vec3<f32>) -> SlabRay {
+    let least = max(max_component(abs(direction)) * LEAST_SHARE, LEAST_COMPONENT);
+    let bounded = max(abs(direction), vec3<f32>(least));
+    return SlabRay(origin, select(1.0 / bounded, -1.0 / bounded, direction < vec3<f32>(0.0)));
+}
+
+fn meets_box(ray: SlabRay, t_min: f32, t_max: f32, box_min: vec3<f32>, box_max: vec3<f32>) -> bool {
+    let a = (box_min - ray.origin) * ray.reciprocal;
+    let b = (box_max - ray.origin) * ray.reciprocal;
+    let near = min(a, b);
+    let far = max(a, b);
+    let t_near = max(max(near.x, near.y), max(near.z, t_min));
+    let t_far = min(min(far.x, far.y), min(far.z, t_max));
+    return t_near * BOX_SLACK <= t_far;
+}
+
+// 1 over the greatest power of two that is not above `value`.
+fn reciprocal_power_of_two(value: f32) -> f32 {
+    let exponent = min(bitcast<u32>(value) >> 23u, 253u);
+    return bitcast<f32>((254u - exponent) << 23u);
+}
+
+fn shear_ray(origin: vec3<f32>, direction: vec3<f32>, extent: f32) -> ShearRay {
+    let scale = reciprocal_power_of_two(extent);
+    let length = abs(direction);
+    var x_row: vec3<f32>;
+    var y_row: vec3<f32>;
+    var t_row: vec3<f32>;
+    var depth: f32;
+    if length.x >= length.y && length.x >= length.z {
+        depth = direction.x;
+        x_row = vec3<f32>(-direction.y / depth, 1.0, 0.0);
+        y_row = vec3<f32>(-direction.z / depth, 0.0, 1.0);
+        t_row = vec3<f32>(1.0 / depth, 0.0, 0.0);
+    } else if length.y >= length.z {
+        depth = direction.y;
+        x_row = vec3<f32>(0.0, -direction.z / depth, 1.0);
+        y_row = vec3<f32>(1.0, -direction.x / depth, 0.0);
+        t_row = vec3<f32>(0.0, 1.0 / depth, 0.0);
+    } else {
+        depth = direction.z;
+        x_row = vec3<f32>(1.0, 0.0, -direction.x / depth);
+        y_row = vec3<f32>(0.0, 1.0, -direction.y / depth);
+        t_row = vec3<f32>(0.0, 0.0, 1.0 / depth);
+    }
+    // Looking down the axis swaps left and right: swap back, so that the winding stays.
+    if depth < 0.0 {
+        return ShearRay(origin, y_row * scale, x_row * scale, t_row, -depth * scale);
+    }
+    return ShearRay(origin, x_row * scale, y_row * scale, t_row, depth * scale);
+}
+
+fn cross_triangle(ray: ShearRay, triangle: Triangle) -> Crossing {
+    let a = triangle.v0 - ray.origin;
+    let b = triangle.v1 - ray.origin;
+    let c = triangle.v2 - ray.origin;
+    let x = vec3<f32>(dot3(ray.x_row, a), dot3(ray.x_row, b), dot3(ray.x_row, c));
+    let y = vec3<f32>(dot3(ray.y_row, a), dot3(ray.y_row, b), dot3(ray.y_row, c));
+    let t = vec3<f32>(dot3(ray.t_row, a), dot3(ray.t_row, b), dot3(ray.t_row, c));
+
+    let depth = max(-min_component(t), max_component(t)) * ray.depth_scale;
+
+    // 1. Beside the triangle by more than rounding can explain?
+    let x_least = min_component(x);
+    let x_greatest = max_component(x);
+    let y_least = min_component(y);
+    let y_greatest = max_component(y);
+    let x_extent = max(-x_least, x_greatest);
+    let y_extent = max(-y_least, y_greatest);
+    let x_tolerance = CORNER_TOLERANCE * (depth + x_extent);
+    let y_tolerance = CORNER_TOLERANCE * (depth + y_extent);
+    if x_least > x_tolerance || x_greatest < -x_tolerance || y_least > y_tolerance || y_greatest < -y_tolerance {
+        return Crossing();
+    }
+
+    // 2. Outside of an edge by more than that? Edge functions are twice the areas that the ray cuts the triangle into.
+    var weights = vec3<f32>(x.z * y.y - y.z * x.y, x.x * y.z - y.x * x.z, x.y * y.x - y.y * x.x);
+    let back = (weights.x + weights.y) + weights.z < 0.0;
+    weights = select(weights, -weights, back);
+    let tolerance = EDGE_TOLERANCE * (depth * (x_extent + y_extent) + 4.0 * (x_extent * y_extent));
+    if min_component(weights) < -tolerance {
+        return Crossing();
+    }
+
+    // 3. The point, inside the triangle whatever was rounded.
+    weights = max(weights, vec3<f32>(0.0));
+    let area = (weights.x + weights.y) + weights.z;
+    if area < F32_MIN_NORMAL {
+        return Crossing();
+    }
+    weights = weights * (1.0 / area);
+    let t_hit = min(max(dot3(weights, t), min_component(t)), max_component(t));
+    return Crossing(t_hit, weights.y, weights.z, back, true);
+}

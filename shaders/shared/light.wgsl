@@ -1,0 +1,67 @@
+// Direct light from points, spots and directions, as KHR_lights_punctual defines them. Twin of src/trace/kernel/light.rs.
+
+// Light as it arrives at a point.
+struct Arrival {
+    // Towards the light; for a point or spot, all the way to it.
+    to_light: vec3<f32>,
+    // Where the light is, in units of `to_light`.
+    t_max: f32,
+    // Unit.
+    direction: vec3<f32>,
+    // Of a surface that faces the light: lux times colour.
+    irradiance: vec3<f32>,
+}
+
+// What a surface reflects to the viewer of all lights, shadows included.
+fn direct_light(surface: Surface, to_viewer: vec3<f32>) -> vec3<f32> {
+    var sum = vec3<f32>(0.0);
+    for (var i = 0u; i < params.light_count; i += 1u) {
+        let arrival = light_at(lights[i], surface);
+        let facing = dot3(surface.geometric_normal, arrival.direction);
+        if facing < GRAZING || max_component(arrival.irradiance) <= 0.0 {
+            continue;
+        }
+        let reflected = reflect_light(surface, to_viewer, arrival.direction) * arrival.irradiance;
+        if max_component(reflected) <= 0.0 {
+            continue;
+        }
+        let shadow_ray = Ray(leave(surface, arrival.direction), 0.0, arrival.to_light, arrival.t_max);
+        let visible = transmittance(shadow_ray, params.ray_mask) * terminator(surface, arrival.direction, facing);
+        sum += reflected * visible;
+    }
+    return sum;
+}
+
+fn light_at(light: Light, surface: Surface) -> Arrival {
+    if light.kind == LIGHT_DIRECTIONAL {
+        return Arrival(-light.direction, F32_MAX, -light.direction, light.color);
+    }
+    let start = leave(surface, light.position - surface.position);
+    let to_light = light.position - start;
+    let distance = length3(to_light);
+    if !(distance > 0.0) {
+        return Arrival(to_light, 1.0, to_light, vec3<f32>(0.0));
+    }
+    let direction = to_light * (1.0 / distance);
+    var strength = range_window(distance, light.range) / (distance * distance);
+    if light.kind == LIGHT_SPOT {
+        let cone = clamp(-dot3(light.direction, direction) * light.cone_scale + light.cone_offset, 0.0, 1.0);
+        strength *= cone * cone;
+    }
+    return Arrival(to_light, 1.0, direction, light.color * strength);
+}
+
+// Falls smoothly to 0 at the light's range.
+fn range_window(distance: f32, range: f32) -> f32 {
+    let ratio = distance / range;
+    let square = ratio * ratio;
+    return clamp(1.0 - square * square, 0.0, 1.0);
+}
+
+// Softens the edge where a facet of a smooth surface turns from the light before its shading normal does. 1 where both
+// normals agree. (M. J.-Y. Chiang, Y. K. Li, B. Burley, "Taming the Shadow Terminator", SIGGRAPH 2019 talks.)
+fn terminator(surface: Surface, direction: vec3<f32>, facing: f32) -> f32 {
+    let smooth_facing = dot3(surface.normal, direction) * dot3(surface.normal, surface.geometric_normal);
+    let g = min(facing / max(smooth_facing, GRAZING * GRAZING), 1.0);
+    return ((1.0 - g) * g + 1.0) * g;
+}

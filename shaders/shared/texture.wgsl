@@ -1,0 +1,97 @@
+// Textures: texels in one array (the paper's Tex), read as glTF samplers say. Twin of src/trace/kernel/texture.rs.
+
+// The filtered value of a texture at texture coordinates of the set that it uses.
+fn sample_texture(info: TextureInfo, tex_coord: vec2<f32>) -> vec4<f32> {
+    let coord = image_coordinates(info, tex_coord);
+    let x = texel_position(coord.x, info.width, info.flags & TEXTURE_MIRROR_U, info.flags & TEXTURE_CLAMP_U);
+    let y = texel_position(coord.y, info.height, info.flags & TEXTURE_MIRROR_V, info.flags & TEXTURE_CLAMP_V);
+    if (info.flags & TEXTURE_NEAREST) != 0u {
+        return texel(info, i32(floor(x)), i32(floor(y)));
+    }
+
+    // Texel centres lie at half-integers: mix the four around the point.
+    let left = floor(x - 0.5);
+    let top = floor(y - 0.5);
+    let across = (x - 0.5) - left;
+    let down = (y - 0.5) - top;
+    let column = i32(left);
+    let row = i32(top);
+    let upper = mix4(texel(info, column, row), texel(info, column + 1, row), across);
+    let lower = mix4(texel(info, column, row + 1), texel(info, column + 1, row + 1), across);
+    return mix4(upper, lower, down);
+}
+
+fn image_coordinates(info: TextureInfo, tex_coord: vec2<f32>) -> vec2<f32> {
+    return vec2<f32>(
+        (info.row_u.x * tex_coord.x + info.row_u.y * tex_coord.y) + info.row_u.z,
+        (info.row_v.x * tex_coord.x + info.row_v.y * tex_coord.y) + info.row_v.z,
+    );
+}
+
+// Where a coordinate lies along an axis of `size` texels: within the image or, if mirrored, within twice its size.
+fn texel_position(coord: f32, size: u32, mirror_flag: u32, clamp_flag: u32) -> f32 {
+    if clamp_flag != 0u {
+        return clamp(coord, 0.0, 1.0) * f32(size);
+    }
+    if mirror_flag != 0u {
+        return (coord - 2.0 * floor(coord * 0.5)) * f32(size);
+    }
+    return (coord - floor(coord)) * f32(size);
+}
+
+fn texel(info: TextureInfo, column: i32, row: i32) -> vec4<f32> {
+    let x = wrap(column, i32(info.width), info.flags & TEXTURE_MIRROR_U, info.flags & TEXTURE_CLAMP_U);
+    let y = wrap(row, i32(info.height), info.flags & TEXTURE_MIRROR_V, info.flags & TEXTURE_CLAMP_V);
+    let word = texels[info.first_texel + u32(y) * info.width + u32(x)];
+    let rgba = vec4<f32>(f32(word & 255u), f32((word >> 8u) & 255u), f32((word >> 16u) & 255u), f32(word >> 24u)) * (1.0 / 255.0);
+    if (info.flags & TEXTURE_SRGB) != 0u {
+        return vec4<f32>(linear_from_srgb(rgba.x), linear_from_srgb(rgba.y), linear_from_srgb(rgba.z), rgba.w);
+    }
+    return rgba;
+}
+
+// The texel that stands at index `i`, which is at most one texel beyond what texel_position gives.
+fn wrap(i: i32, size: i32, mirror_flag: u32, clamp_flag: u32) -> i32 {
+    var wrapped = i;
+    if clamp_flag == 0u && mirror_flag != 0u {
+        if wrapped < 0 {
+            wrapped = -1 - wrapped;
+        }
+        if wrapped >= 2 * size {
+            wrapped -= 2 * size;
+        }
+        if wrapped >= size {
+            wrapped = 2 * size - 1 - wrapped;
+        }
+    } else if clamp_flag == 0u {
+        if wrapped < 0 {
+            wrapped += size;
+        }
+        if wrapped >= size {
+            wrapped -= size;
+        }
+    }
+    // For clamped axes, and for coordinates that are not numbers.
+    return clamp(wrapped, 0, size - 1);
+}
+
+// The sRGB decoding of IEC 61966-2-1, ((c + 0.055) / 1.055)^2.4, to a relative error of 2e-5 (1/400 of the step between two
+// 8-bit values): x^2.4 = x^2 s s^-0.2 with s = sqrt(x), and a Chebyshev fit of s^-0.2 that is 1 at 1.
+fn linear_from_srgb(c: f32) -> f32 {
+    if c <= 0.04045 {
+        return c * (1.0 / 12.92);
+    }
+    let x = c * (1.0 / 1.055) + (0.055 / 1.055);
+    let s = sqrt(x);
+    var slope = -1.0750610828399658 * s + 4.9784369468688965;
+    slope = slope * s - 9.72024154663086;
+    slope = slope * s + 10.421469688415527;
+    slope = slope * s - 6.720233917236328;
+    slope = slope * s + 2.7338104248046875;
+    slope = slope * s - 0.8181909918785095;
+    return ((x * x) * s) * (1.0 + (s - 1.0) * slope);
+}
+
+fn mix4(a: vec4<f32>, b: vec4<f32>, weight: f32) -> vec4<f32> {
+    return a * (1.0 - weight) + b * weight;
+}

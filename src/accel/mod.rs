@@ -1,0 +1,25 @@
+//! Acceleration structures: bounding volume hierarchies as depth-first arrays with escape indices (paper, section 3).
+//!
+//! Two levels: a [`Blas`] over the triangles of each geometry, in local space, and one [`Tlas`] over the instances, in
+//! device world space. Both are made in the same steps: a builder splits boxes into a build tree (binned SAH), `flatten`
+//! turns that into device nodes. In debug builds every result is [validated](Blas::validate).
+//!
+//! Guarantees, for any finite input:
+//! - Every primitive is in exactly one leaf; each box contains, with a margin, what is below it, and is not flat.
+//! - No hierarchy is deeper than [`MAX_DEPTH`].
+//! - The same input gives the same arrays, whatever the number of threads.
+
+mod bins;
+mod blas;
+mod flatten;
+mod sah;
+mod stats;
+mod tlas;
+mod tree;
+mod validate;
+
+pub use blas::{Blas, BuildParams};
+pub use sah::MAX_DEPTH;
+pub use stats::Stats;
+pub use tlas::Tlas;
+pub use validate::StructureError;

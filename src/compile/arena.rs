@@ -1,0 +1,60 @@
+//! Where in a device buffer each thing lives.
+
+use std::fmt;
+use std::ops::Range;
+
+use bytemuck::Pod;
+use range_alloc::RangeAllocator;
+
+use crate::device::DeviceBuffer;
+use crate::{Error, Result};
+
+/// Hands out ranges of one [`DeviceBuffer`]; a released range is used again, best fit first.
+pub(super) struct Arena {
+    what: &'static str,
+    allocator: RangeAllocator<u32>,
+}
+
+impl Arena {
+    /// An arena for the buffer that errors call `what`.
+    pub(super) fn new(what: &'static str) -> Self {
+        // The last index is kept for `layout::NONE`.
+        Self { what, allocator: RangeAllocator::new(0..u32::MAX) }
+    }
+
+    /// Copies `values` into the buffer and returns where they lie; nothing needs no room.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] beyond 2^32 - 1 elements: an index has 32 bits.
+    pub(super) fn store<T: Pod>(&mut self, buffer: &mut DeviceBuffer<T>, values: &[T]) -> Result<Range<u32>> {
+        if values.is_empty() {
+            return Ok(0..0);
+        }
+        let limit = |needed| Error::Limit { what: self.what, needed, limit: u32::MAX.into(), hint: "" };
+        let count = u32::try_from(values.len()).map_err(|_| limit(values.len() as u64))?;
+        let range = match self.allocator.allocate_range(count) {
+            Ok(range) => range,
+            Err(_) => return Err(limit(u64::from(count) + buffer.len() as u64)),
+        };
+        buffer.write(range.start as usize, values);
+        Ok(range)
+    }
+
+    /// Gives a range back. The buffer ends where the last range in use does.
+    pub(super) fn release<T: Pod>(&mut self, buffer: &mut DeviceBuffer<T>, range: Range<u32>) {
+        if range.is_empty() {
+            return;
+        }
+        let at_end = range.end as usize >= buffer.len();
+        self.allocator.free_range(range);
+        if at_end {
+            buffer.truncate(self.allocator.allocated_ranges().last().map_or(0, |r| r.end as usize));
+        }
+    }
+}
+
+impl fmt::Debug for Arena {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Arena").field("what", &self.what).finish_non_exhaustive()
+    }
+}

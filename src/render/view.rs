@@ -1,0 +1,162 @@
+//! What is seen of a scene: a camera, an image size, a sky.
+
+use glam::{DAffine3, DVec3, Vec3};
+
+use crate::device::layout::FrameParams;
+use crate::graph::{Camera, Core, NodeKey, Scene, Transform};
+use crate::{Error, Result};
+
+/// What [`Renderer::render`](super::Renderer::render) draws.
+///
+/// ```
+/// use ropewalk::View;
+/// use ropewalk::graph::Camera;
+/// use glam::DVec3;
+///
+/// let mut view = View::look_at(DVec3::new(0.0, 1.0, 5.0), DVec3::ZERO, DVec3::Y, Camera::default(), 800, 600);
+/// view.max_depth = 5; // five reflections or refractions
+/// ```
+#[derive(Clone, Debug, PartialEq)]
+pub struct View {
+    /// Where the camera stands; it looks along its -Z axis with +Y up. Scale is ignored.
+    pub world_from_view: DAffine3,
+    /// Its projection.
+    pub camera: Camera,
+    /// Pixels a row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// How many reflections and refractions a path may have, at most [`MAX_DEPTH`](Self::MAX_DEPTH).
+    pub max_depth: u32,
+    /// What rays see that leave the scene, and what lights it from all around.
+    pub sky: Sky,
+    /// Nodes whose mask shares no bit with this are not seen.
+    pub ray_mask: u32,
+    /// Whether the frame also holds depth, normals, and node and triangle ids.
+    pub aovs: bool,
+}
+
+impl View {
+    /// The most reflections and refractions that a path may have.
+    pub const MAX_DEPTH: u32 = 8;
+
+    /// Looks from `eye` at `target`, world space.
+    pub fn look_at(eye: DVec3, target: DVec3, up: DVec3, camera: Camera, width: u32, height: u32) -> Self {
+        Self {
+            world_from_view: Transform::looking_at(eye, target, up).to_affine(),
+            camera,
+            width,
+            height,
+            max_depth: 3,
+            sky: Sky::default(),
+            ray_mask: u32::MAX,
+            aovs: false,
+        }
+    }
+
+    /// Looks through a camera node, from where it is now. O(depth of the node).
+    ///
+    /// # Errors
+    /// [`Error::StaleKey`], or [`Error::WrongCore`] if the node is not a camera.
+    pub fn from_camera(scene: &Scene, node: NodeKey, width: u32, height: u32) -> Result<Self> {
+        let core = scene.core(node)?;
+        let Core::Camera(camera) = *core else {
+            return Err(Error::WrongCore { node: node.into(), expected: "camera", found: core.kind() });
+        };
+        let world_from_view = scene.world(node)?;
+        Ok(Self { world_from_view, ..Self::look_at(DVec3::ZERO, DVec3::NEG_Z, DVec3::Y, camera, width, height) })
+    }
+
+    /// Sees all that is visible in the scene, from the front, a little from the right and above. O(nodes).
+    ///
+    /// # Errors
+    /// None in a valid scene.
+    pub fn framing(scene: &Scene, width: u32, height: u32) -> Result<Self> {
+        let bounds = scene.world_bounds(scene.root())?;
+        let (center, radius) = if bounds.is_empty() {
+            (DVec3::ZERO, 1.0)
+        } else {
+            (bounds.center(), bounds.radius().max(f64::MIN_POSITIVE))
+        };
+        let camera = Camera::default();
+        // The sphere around the scene touches the edges of the narrower field of view.
+        let half_fov = f64::from(std::f32::consts::FRAC_PI_8);
+        let aspect = f64::from(width.max(1)) / f64::from(height.max(1));
+        let half_fov = (half_fov.tan() * aspect.min(1.0)).atan();
+        let eye = center + DVec3::new(0.45, 0.35, 1.0).normalize() * (radius / half_fov.sin());
+        Ok(Self::look_at(eye, center, DVec3::Y, camera, width, height))
+    }
+
+    /// The uniform data of this view, with positions relative to `origin`.
+    pub(super) fn params(&self, origin: DVec3, light_count: u32) -> FrameParams {
+        let axes = self.world_from_view.matrix3;
+        let [right, up, back] = [axes.x_axis, axes.y_axis, axes.z_axis].map(|axis| axis.normalize_or_zero().as_vec3());
+        let (half_width, half_height, orthographic) = self.half_extent();
+        FrameParams {
+            eye: (self.world_from_view.translation - origin).as_vec3().to_array(),
+            width: self.width,
+            right: (right * half_width).to_array(),
+            height: self.height,
+            up: (up * half_height).to_array(),
+            max_depth: self.max_depth,
+            forward: (-back).to_array(),
+            orthographic,
+            sky_zenith: self.sky.zenith.to_array(),
+            ray_mask: self.ray_mask,
+            sky_horizon: self.sky.horizon.to_array(),
+            light_count,
+            sky_ground: self.sky.ground.to_array(),
+            first_row: 0,
+            sky_up: self.sky.up.to_array(),
+            _pad: 0,
+        }
+    }
+
+    /// Half the width and height of the image, at distance 1 (perspective) or anywhere (orthographic), grown where the
+    /// image has another aspect than the camera, so that all of the camera's field is in the image.
+    fn half_extent(&self) -> (f32, f32, u32) {
+        let image_aspect = self.width.max(1) as f32 / self.height.max(1) as f32;
+        let (half_width, half_height, orthographic) = match self.camera {
+            Camera::Perspective { y_fov, aspect } => {
+                let half_height = (y_fov * 0.5).tan();
+                (half_height * aspect.unwrap_or(image_aspect), half_height, 0)
+            }
+            Camera::Orthographic { x_mag, y_mag } => (x_mag, y_mag, 1),
+        };
+        let grown_width = half_width.max(half_height * image_aspect);
+        let grown_height = half_height.max(half_width / image_aspect);
+        (grown_width, grown_height, orthographic)
+    }
+}
+
+/// The light that comes from all around: a gradient from straight up over the horizon to straight down. Linear radiance.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sky {
+    /// Straight up.
+    pub zenith: Vec3,
+    /// At the horizon.
+    pub horizon: Vec3,
+    /// Straight down.
+    pub ground: Vec3,
+    /// Which way is up: a unit vector in world space.
+    pub up: Vec3,
+}
+
+impl Default for Sky {
+    /// Neutral, brighter above than below.
+    fn default() -> Self {
+        Self {
+            zenith: Vec3::new(0.45, 0.55, 0.75),
+            horizon: Vec3::new(0.85, 0.87, 0.9),
+            ground: Vec3::new(0.25, 0.24, 0.22),
+            up: Vec3::Y,
+        }
+    }
+}
+
+impl Sky {
+    /// The same radiance from everywhere.
+    pub fn uniform(radiance: Vec3) -> Self {
+        Self { zenith: radiance, horizon: radiance, ground: radiance, up: Vec3::Y }
+    }
+}

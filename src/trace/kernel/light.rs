@@ -1,0 +1,85 @@
+//! Direct light from points, spots and directions, as `KHR_lights_punctual` defines them. Twin of
+//! `shaders/shared/light.wgsl`.
+
+use glam::Vec3;
+
+use super::brdf::reflect_light;
+use super::intersect::max_component;
+use super::math::{dot3, length3, max, min};
+use super::offset::leave;
+use super::surface::{GRAZING, Surface};
+use super::{KernelScene, transmittance};
+use crate::device::layout::{FrameParams, LIGHT_DIRECTIONAL, LIGHT_SPOT, Light, Ray};
+
+/// Light as it arrives at a point.
+struct Arrival {
+    /// Towards the light; for a point or spot, all the way to it.
+    to_light: Vec3,
+    /// Where the light is, in units of `to_light`.
+    t_max: f32,
+    /// Unit.
+    direction: Vec3,
+    /// Of a surface that faces the light: lux times colour.
+    irradiance: Vec3,
+}
+
+/// What a surface reflects to the viewer of all lights, shadows included.
+pub(crate) fn direct_light(scene: &KernelScene<'_>, params: &FrameParams, surface: &Surface, to_viewer: Vec3) -> Vec3 {
+    let mut sum = Vec3::ZERO;
+    for light in scene.lights.iter().take(params.light_count as usize) {
+        let arrival = light_at(light, surface);
+        let facing = dot3(surface.geometric_normal, arrival.direction);
+        if facing < GRAZING || max_component(arrival.irradiance) <= 0.0 {
+            continue;
+        }
+        let reflected = reflect_light(surface, to_viewer, arrival.direction) * arrival.irradiance;
+        if max_component(reflected) <= 0.0 {
+            continue;
+        }
+        let shadow_ray = Ray {
+            origin: leave(surface, arrival.direction).to_array(),
+            t_min: 0.0,
+            direction: arrival.to_light.to_array(),
+            t_max: arrival.t_max,
+        };
+        let visible =
+            transmittance(scene, &shadow_ray, params.ray_mask) * terminator(surface, arrival.direction, facing);
+        sum += reflected * visible;
+    }
+    sum
+}
+
+fn light_at(light: &Light, surface: &Surface) -> Arrival {
+    let [position, axis, color] = [light.position, light.direction, light.color].map(Vec3::from_array);
+    if light.kind == LIGHT_DIRECTIONAL {
+        return Arrival { to_light: -axis, t_max: f32::MAX, direction: -axis, irradiance: color };
+    }
+    let start = leave(surface, position - surface.position);
+    let to_light = position - start;
+    let distance = length3(to_light);
+    if distance <= 0.0 {
+        return Arrival { to_light, t_max: 1.0, direction: to_light, irradiance: Vec3::ZERO };
+    }
+    let direction = to_light * (1.0 / distance);
+    let mut strength = range_window(distance, light.range) / (distance * distance);
+    if light.kind == LIGHT_SPOT {
+        let cone = (-dot3(axis, direction) * light.cone_scale + light.cone_offset).clamp(0.0, 1.0);
+        strength *= cone * cone;
+    }
+    Arrival { to_light, t_max: 1.0, direction, irradiance: color * strength }
+}
+
+/// Falls smoothly to 0 at the light's range.
+fn range_window(distance: f32, range: f32) -> f32 {
+    let ratio = distance / range;
+    let square = ratio * ratio;
+    (1.0 - square * square).clamp(0.0, 1.0)
+}
+
+/// Softens the edge where a facet of a smooth surface turns from the light before its shading normal does. 1 where both
+/// normals agree. (M. J.-Y. Chiang, Y. K. Li, B. Burley, "Taming the Shadow Terminator", SIGGRAPH 2019 talks.)
+fn terminator(surface: &Surface, direction: Vec3, facing: f32) -> f32 {
+    let smooth_facing = dot3(surface.normal, direction) * dot3(surface.normal, surface.geometric_normal);
+    let g = min(facing / max(smooth_facing, GRAZING * GRAZING), 1.0);
+    ((1.0 - g) * g + 1.0) * g
+}

@@ -1,0 +1,135 @@
+//! Textures: texels in one array (the paper's Tex), read as glTF samplers say. Twin of `shaders/shared/texture.wgsl`.
+
+use glam::{Vec2, Vec4};
+
+use super::KernelScene;
+use crate::device::layout::{TextureFlags, TextureInfo};
+
+/// The filtered value of a texture at texture coordinates of the set that it uses.
+pub(crate) fn sample_texture(scene: &KernelScene<'_>, info: &TextureInfo, tex_coord: Vec2) -> Vec4 {
+    let coord = image_coordinates(info, tex_coord);
+    let [wrap_u, wrap_v] = wraps(info);
+    let x = texel_position(coord.x, info.width, wrap_u);
+    let y = texel_position(coord.y, info.height, wrap_v);
+    if flags(info).contains(TextureFlags::NEAREST) {
+        return texel(scene, info, x.floor() as i32, y.floor() as i32);
+    }
+
+    // Texel centres lie at half-integers: mix the four around the point.
+    let left = (x - 0.5).floor();
+    let top = (y - 0.5).floor();
+    let across = (x - 0.5) - left;
+    let down = (y - 0.5) - top;
+    let column = left as i32;
+    let row = top as i32;
+    let upper = mix4(texel(scene, info, column, row), texel(scene, info, column + 1, row), across);
+    let lower = mix4(texel(scene, info, column, row + 1), texel(scene, info, column + 1, row + 1), across);
+    mix4(upper, lower, down)
+}
+
+/// Texture coordinates to image coordinates, in which the image spans 0 to 1.
+pub(crate) fn image_coordinates(info: &TextureInfo, tex_coord: Vec2) -> Vec2 {
+    Vec2::new(
+        (info.row_u[0] * tex_coord.x + info.row_u[1] * tex_coord.y) + info.row_u[2],
+        (info.row_v[0] * tex_coord.x + info.row_v[1] * tex_coord.y) + info.row_v[2],
+    )
+}
+
+/// What lies beyond the ends of an axis.
+#[derive(Clone, Copy, PartialEq)]
+enum Wrap {
+    Repeat,
+    Mirror,
+    Clamp,
+}
+
+fn wraps(info: &TextureInfo) -> [Wrap; 2] {
+    let wrap = |mirror, clamp| {
+        if flags(info).contains(clamp) {
+            Wrap::Clamp
+        } else if flags(info).contains(mirror) {
+            Wrap::Mirror
+        } else {
+            Wrap::Repeat
+        }
+    };
+    [wrap(TextureFlags::MIRROR_U, TextureFlags::CLAMP_U), wrap(TextureFlags::MIRROR_V, TextureFlags::CLAMP_V)]
+}
+
+fn flags(info: &TextureInfo) -> TextureFlags {
+    TextureFlags::from_bits_retain(info.flags)
+}
+
+/// Where a coordinate lies along an axis of `size` texels: within the image or, if mirrored, within twice its size.
+fn texel_position(coord: f32, size: u32, wrap: Wrap) -> f32 {
+    match wrap {
+        Wrap::Clamp => coord.clamp(0.0, 1.0) * size as f32,
+        Wrap::Mirror => (coord - 2.0 * (coord * 0.5).floor()) * size as f32,
+        Wrap::Repeat => (coord - coord.floor()) * size as f32,
+    }
+}
+
+fn texel(scene: &KernelScene<'_>, info: &TextureInfo, column: i32, row: i32) -> Vec4 {
+    let [wrap_u, wrap_v] = wraps(info);
+    let x = wrapped(column, info.width as i32, wrap_u);
+    let y = wrapped(row, info.height as i32, wrap_v);
+    let word = scene.texels[(info.first_texel + y as u32 * info.width + x as u32) as usize];
+    let bytes = [word & 255, (word >> 8) & 255, (word >> 16) & 255, word >> 24];
+    let rgba = Vec4::from_array(bytes.map(|byte| byte as f32)) * (1.0 / 255.0);
+    if flags(info).contains(TextureFlags::SRGB) {
+        return Vec4::new(linear_from_srgb(rgba.x), linear_from_srgb(rgba.y), linear_from_srgb(rgba.z), rgba.w);
+    }
+    rgba
+}
+
+/// The texel that stands at index `i`, which is at most one texel beyond what [`texel_position`] gives.
+fn wrapped(i: i32, size: i32, wrap: Wrap) -> i32 {
+    let mut wrapped = i;
+    match wrap {
+        Wrap::Clamp => {}
+        Wrap::Mirror => {
+            if wrapped < 0 {
+                wrapped = -1 - wrapped;
+            }
+            if wrapped >= 2 * size {
+                wrapped -= 2 * size;
+            }
+            if wrapped >= size {
+                wrapped = 2 * size - 1 - wrapped;
+            }
+        }
+        Wrap::Repeat => {
+            if wrapped < 0 {
+                wrapped += size;
+            }
+            if wrapped >= size {
+                wrapped -= size;
+            }
+        }
+    }
+    // For clamped axes, and for coordinates that are not numbers.
+    wrapped.clamp(0, size - 1)
+}
+
+/// The sRGB decoding of IEC 61966-2-1, ((c + 0.055) / 1.055)^2.4, to a relative error of 2e-5 (1/400 of the step between
+/// two 8-bit values): x^2.4 = x^2 s s^-0.2 with s = sqrt(x), and a Chebyshev fit of s^-0.2 that is 1 at 1.
+///
+/// A table of 256 values would be exact, but a shader that indexes a constant array copies it first on some drivers.
+pub(crate) fn linear_from_srgb(c: f32) -> f32 {
+    if c <= 0.04045 {
+        return c * (1.0 / 12.92);
+    }
+    let x = c * (1.0 / 1.055) + (0.055 / 1.055);
+    let s = x.sqrt();
+    let mut slope = -1.075_061_1 * s + 4.978_437;
+    slope = slope * s - 9.720_242;
+    slope = slope * s + 10.421_47;
+    slope = slope * s - 6.720_233_4;
+    slope = slope * s + 2.733_810_4;
+    slope = slope * s - 0.818_191;
+    ((x * x) * s) * (1.0 + (s - 1.0) * slope)
+}
+
+fn mix4(a: Vec4, b: Vec4, weight: f32) -> Vec4 {
+    a * (1.0 - weight) + b * weight
+}

@@ -1,0 +1,113 @@
+//! Thousands of random edits of a scene and of a naive model: both must tell the same after each.
+#![expect(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
+
+mod compare;
+mod edit;
+mod model;
+mod random;
+mod reader;
+
+use std::cell::RefCell;
+use std::collections::BTreeSet;
+
+use proptest::collection::vec;
+use proptest::prelude::*;
+use proptest::test_runner::TestRunner;
+use ropewalk::Scene;
+
+use model::Model;
+use random::{Issued, RawEdit};
+use reader::Reader;
+
+const READERS: usize = 3;
+
+/// Each edit, with the errors that it can end with.
+const FAULTS: [(&str, &[&str]); 17] = [
+    ("Add", &["OutOfRange", "Stale"]),
+    ("AddCore", &["OutOfRange", "Stale"]),
+    ("AddGeometry", &["Geometry"]),
+    ("AddMaterial", &["OutOfRange", "Stale"]),
+    ("AddTexture", &["OutOfRange"]),
+    ("EditCore", &["OutOfRange", "Root", "Stale"]),
+    ("Remove", &["Root", "Stale"]),
+    ("RemoveUnused", &[]),
+    ("Reparent", &["Cycle", "Root", "Singular", "Stale", "WrongCore"]),
+    ("SetCore", &["OutOfRange", "Root", "Stale"]),
+    ("SetGeometry", &["Geometry", "Stale"]),
+    ("SetLocal", &["OutOfRange", "Stale", "WrongCore"]),
+    ("SetMask", &["Stale"]),
+    ("SetMaterial", &["OutOfRange", "Stale"]),
+    ("SetName", &["Stale"]),
+    ("SetTexture", &["OutOfRange", "Stale"]),
+    ("SetVisible", &["Stale"]),
+];
+
+/// One step, from which shrinking takes edits away and makes numbers smaller.
+#[derive(Clone, Debug)]
+enum Step {
+    Edit(RawEdit),
+    /// Read the log.
+    Read(usize),
+    /// Drop the cursor.
+    Leave(usize),
+    /// Bring the hierarchy up to date.
+    Update,
+}
+
+fn step() -> impl Strategy<Value = Step> {
+    let edit = (any::<u8>(), any::<u16>(), any::<u16>(), any::<u8>());
+    prop_oneof![
+        20 => edit.prop_map(|(kind, a, b, value)| Step::Edit(RawEdit { kind, a, b, value })),
+        2 => (0..READERS).prop_map(Step::Read),
+        1 => (0..READERS * 4).prop_map(|reader| Step::Leave(reader.min(READERS - 1))),
+        4 => Just(Step::Update),
+    ]
+}
+
+#[test]
+fn scene_equals_model() {
+    let config = ProptestConfig { cases: 800, failure_persistence: None, ..ProptestConfig::default() };
+    let endings = RefCell::new(BTreeSet::new());
+    let outcome = TestRunner::new(config).run(&vec(step(), 1..120), |steps| {
+        run(&steps, &mut endings.borrow_mut());
+        Ok(())
+    });
+    outcome.unwrap_or_else(|failure| panic!("{failure}"));
+
+    // Every edit has succeeded, and failed in each way that it can.
+    let endings: Vec<String> = endings.into_inner().into_iter().collect();
+    let name = |edit: &str, fault: &str| format!("{edit}: {fault}");
+    let failures = |(edit, faults): &(&str, &[&str])| faults.iter().map(|fault| name(edit, fault)).collect::<Vec<_>>();
+    let successes = FAULTS.iter().map(|(edit, _)| (*edit).to_owned());
+    let mut expected: Vec<String> = successes.chain(FAULTS.iter().flat_map(failures)).collect();
+    expected.sort();
+    assert_eq!(endings, expected);
+}
+
+fn run(steps: &[Step], endings: &mut BTreeSet<String>) {
+    let mut scene = Scene::new();
+    let mut model = Model::new(&scene);
+    let mut issued = Issued::new(&scene);
+    let mut readers: [Reader; READERS] = std::array::from_fn(|_| Reader::default());
+    let mut log = Vec::new();
+    for step in steps {
+        match step {
+            Step::Edit(raw) => {
+                let before = model.clone();
+                let revision = scene.revision();
+                let ending = issued.resolve(raw, &model).run(&mut scene, &mut model, &mut issued);
+                endings.insert(ending);
+                let changes = before.changes_to(&model);
+                assert_eq!(scene.revision() != revision, !changes.is_empty(), "only what changes something counts");
+                log.extend(changes);
+            }
+            Step::Read(reader) => readers[*reader].read(&mut scene, &model, &log),
+            Step::Leave(reader) => readers[*reader] = Reader::default(),
+            Step::Update => compare::hierarchy(&mut scene, &model),
+        }
+        compare::state(&scene, &model, &issued);
+    }
+    for reader in &mut readers {
+        reader.read(&mut scene, &model, &log);
+    }
+}

@@ -1,0 +1,170 @@
+//! The naive model: maps and vectors, everything found by looking at everything.
+
+use std::collections::{HashMap, HashSet};
+
+use glam::DVec3;
+use ropewalk::{
+    Change, Core, CoreKey, Geometry, GeometryKey, Material, MaterialKey, NodeKey, Object, Scene, Texture, TextureKey,
+    Transform,
+};
+
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct ModelNode {
+    pub(crate) parent: Option<NodeKey>,
+    pub(crate) children: Vec<NodeKey>,
+    pub(crate) core: CoreKey,
+    pub(crate) name: String,
+    pub(crate) mask: u32,
+    pub(crate) visible: bool,
+}
+
+#[derive(Clone, Debug)]
+pub(crate) struct Model {
+    pub(crate) root: NodeKey,
+    pub(crate) nodes: HashMap<NodeKey, ModelNode>,
+    pub(crate) cores: HashMap<CoreKey, Core>,
+    pub(crate) geometries: HashMap<GeometryKey, Geometry>,
+    pub(crate) materials: HashMap<MaterialKey, Material>,
+    pub(crate) textures: HashMap<TextureKey, Texture>,
+    /// What has had a user.
+    used: HashSet<Object>,
+}
+
+impl ModelNode {
+    pub(crate) fn new(parent: Option<NodeKey>, core: CoreKey) -> Self {
+        Self { parent, children: vec![], core, name: String::new(), mask: u32::MAX, visible: true }
+    }
+}
+
+impl Model {
+    pub(crate) fn new(scene: &Scene) -> Self {
+        let (root, core) = (scene.root(), scene.core_key(scene.root()).unwrap());
+        Self {
+            root,
+            nodes: HashMap::from([(root, ModelNode::new(None, core))]),
+            cores: HashMap::from([(core, Core::Group)]),
+            geometries: HashMap::new(),
+            materials: HashMap::new(),
+            textures: HashMap::new(),
+            used: HashSet::from([core.into()]),
+        }
+    }
+
+    pub(crate) fn core(&self, node: NodeKey) -> &Core {
+        &self.cores[&self.nodes[&node].core]
+    }
+
+    pub(crate) fn users(&self, core: CoreKey) -> HashSet<NodeKey> {
+        self.nodes.iter().filter(|(_, node)| node.core == core).map(|(&key, _)| key).collect()
+    }
+
+    pub(crate) fn preorder(&self, node: NodeKey) -> Vec<NodeKey> {
+        let below = self.nodes[&node].children.iter().flat_map(|&child| self.preorder(child));
+        std::iter::once(node).chain(below).collect()
+    }
+
+    /// The node, its parent, and so on.
+    pub(crate) fn upwards(&self, node: NodeKey) -> Vec<NodeKey> {
+        std::iter::successors(Some(node), |node| self.nodes[node].parent).collect()
+    }
+
+    /// Where a local point is in the world, and the largest number on the way, which rounding errors are relative to.
+    pub(crate) fn to_world(&self, node: NodeKey, point: DVec3) -> (DVec3, f64) {
+        let (mut point, mut magnitude) = (point, point.abs().max_element());
+        for node in self.upwards(node) {
+            if let Core::Transform(transform) = self.core(node) {
+                let (moved, growth) = apply(transform, point);
+                point = moved;
+                magnitude = (magnitude * growth).max(point.abs().max_element());
+            }
+        }
+        (point, magnitude)
+    }
+
+    /// Frees what lost its last user, until there is nothing more to free. `all` frees also what never had one.
+    pub(crate) fn collect(&mut self, all: bool) {
+        loop {
+            let of_core = |core: &Core| match *core {
+                Core::Geometry { geometry, material } => vec![geometry.into(), material.into()],
+                _ => vec![],
+            };
+            let by_nodes = self.nodes.values().map(|node| Object::from(node.core));
+            let by_cores = self.cores.values().flat_map(of_core);
+            let by_materials = self.materials.values().flat_map(Material::textures).map(|t| t.texture.into());
+            let in_use: HashSet<Object> = by_nodes.chain(by_cores).chain(by_materials).collect();
+            self.used.extend(&in_use);
+
+            let used = &self.used;
+            let keep = |object: Object| in_use.contains(&object) || (!all && !used.contains(&object));
+            let count = self.count();
+            self.cores.retain(|&key, _| keep(key.into()));
+            self.geometries.retain(|&key, _| keep(key.into()));
+            self.materials.retain(|&key, _| keep(key.into()));
+            self.textures.retain(|&key, _| keep(key.into()));
+            if self.count() == count {
+                return;
+            }
+        }
+    }
+
+    fn count(&self) -> usize {
+        self.cores.len() + self.geometries.len() + self.materials.len() + self.textures.len()
+    }
+
+    /// What differs in `later`, object by object.
+    pub(crate) fn changes_to(&self, later: &Self) -> Vec<(Object, Change)> {
+        let mut changes = Vec::new();
+        compare_maps(&self.nodes, &later.nodes, &mut changes, |old, new| {
+            let flags = [
+                (Change::PARENT, old.parent != new.parent),
+                (Change::CORE, old.core != new.core),
+                (Change::MASK, old.mask != new.mask),
+                (Change::VISIBILITY, old.visible != new.visible),
+                (Change::NAME, old.name != new.name),
+            ];
+            flags.into_iter().filter(|(_, differs)| *differs).map(|(flag, _)| flag).collect()
+        });
+        compare_maps(&self.cores, &later.cores, &mut changes, |old, new| match (old, new) {
+            (old, new) if old == new => Change::empty(),
+            (Core::Transform(_), Core::Transform(_)) => Change::TRANSFORM,
+            (Core::Transform(_), _) | (_, Core::Transform(_)) => Change::TRANSFORM | Change::DATA,
+            _ => Change::DATA,
+        });
+        compare_maps(&self.geometries, &later.geometries, &mut changes, data_differs);
+        compare_maps(&self.materials, &later.materials, &mut changes, data_differs);
+        compare_maps(&self.textures, &later.textures, &mut changes, data_differs);
+        changes
+    }
+}
+
+fn data_differs<T: PartialEq>(old: &T, new: &T) -> Change {
+    if old == new { Change::empty() } else { Change::DATA }
+}
+
+fn compare_maps<K: Copy + Eq + std::hash::Hash + Into<Object>, V>(
+    old: &HashMap<K, V>,
+    new: &HashMap<K, V>,
+    changes: &mut Vec<(Object, Change)>,
+    compare: impl Fn(&V, &V) -> Change,
+) {
+    for (&key, value) in new {
+        let change = old.get(&key).map_or(Change::ADDED, |old| compare(old, value));
+        if !change.is_empty() {
+            changes.push((key.into(), change));
+        }
+    }
+    changes.extend(old.keys().filter(|key| !new.contains_key(key)).map(|&key| (key.into(), Change::REMOVED)));
+}
+
+/// The point one level up, and by how much a length can have grown.
+fn apply(transform: &Transform, point: DVec3) -> (DVec3, f64) {
+    match *transform {
+        Transform::Trs { translation, rotation, scale } => {
+            (rotation * (scale * point) + translation, scale.abs().max_element())
+        }
+        Transform::Matrix(affine) => {
+            let columns = (0..3).map(|i| affine.matrix3.col(i).length());
+            (affine.transform_point3(point), columns.sum())
+        }
+    }
+}

@@ -1,0 +1,55 @@
+//! A consumer of the change log, and what it must be told.
+
+use std::collections::HashMap;
+
+use ropewalk::{Change, Changes, Cursor, Object, Scene};
+
+use crate::model::Model;
+
+#[derive(Default)]
+pub(crate) struct Reader {
+    cursor: Cursor,
+    /// The length of the naive log, and the model, at the last read.
+    last: Option<(usize, Model)>,
+}
+
+impl Reader {
+    /// Reads, and compares with the naive log and with what differs between then and now.
+    pub(crate) fn read(&mut self, scene: &mut Scene, model: &Model, log: &[(Object, Change)]) {
+        match (scene.changes_since(&mut self.cursor), &self.last) {
+            (Changes::Everything, None) => {}
+            (Changes::Since(changes), Some((start, snapshot))) => {
+                let found: HashMap<_, _> = changes.iter().copied().collect();
+                assert_eq!(found.len(), changes.len(), "an object has two entries");
+                assert_eq!(found, merge(&log[*start..]));
+                is_difference(&found, &snapshot.changes_to(model));
+            }
+            (changes, last) => panic!("{changes:?} after {last:?}"),
+        }
+        self.last = Some((log.len(), model.clone()));
+    }
+}
+
+/// One entry an object: those that came say no more, those that came and went say nothing.
+fn merge(log: &[(Object, Change)]) -> HashMap<Object, Change> {
+    let mut merged: HashMap<Object, Change> = HashMap::new();
+    for &(object, change) in log {
+        let before = merged.get(&object).copied().unwrap_or_default();
+        if before == Change::ADDED && change == Change::REMOVED {
+            merged.remove(&object);
+        } else if before == Change::ADDED || change == Change::REMOVED {
+            merged.insert(object, before & Change::ADDED | change & Change::REMOVED);
+        } else {
+            merged.insert(object, before | change);
+        }
+    }
+    merged
+}
+
+/// All that differs was told; whatever came or went, exactly. (What changed back was told, too.)
+fn is_difference(found: &HashMap<Object, Change>, expected: &[(Object, Change)]) {
+    let ends = Change::ADDED | Change::REMOVED;
+    assert!(expected.iter().all(|(object, change)| found.get(object).is_some_and(|found| found.contains(*change))));
+    let count = |changes: &mut dyn Iterator<Item = Change>| changes.filter(|change| change.intersects(ends)).count();
+    assert_eq!(count(&mut found.values().copied()), count(&mut expected.iter().map(|(_, change)| *change)));
+}

@@ -1,0 +1,123 @@
+//! Scenes that are very deep, very wide or very large: nothing overflows the stack, and edits cost what they change.
+#![expect(clippy::unwrap_used, reason = "helpers of tests")]
+
+use std::time::Instant;
+
+use glam::DVec3;
+use ropewalk::{Changes, Core, Error, Keep, NodeKey, Scene, Transform};
+
+const STEP: DVec3 = DVec3::new(1.0, 0.0, 0.0);
+
+#[test]
+fn a_chain_of_100_000_transforms() {
+    const DEPTH: usize = 100_000;
+    let mut scene = Scene::new();
+    let mut chain = vec![scene.root()];
+    for depth in 0..DEPTH {
+        chain.push(scene.add(chain[depth], Transform::from_translation(STEP)).unwrap());
+    }
+    let (top, middle, leaf) = (chain[1], chain[DEPTH / 2], chain[DEPTH]);
+    assert_eq!(scene.world(leaf).unwrap().translation, STEP * DEPTH as f64);
+    assert_eq!(scene.descendants(scene.root()).unwrap().last(), Some(leaf));
+    assert_eq!(scene.ancestors(leaf).unwrap().count(), DEPTH);
+    assert!(scene.world_bounds(top).unwrap().is_empty());
+    assert_eq!(scene.hierarchy().worlds()[DEPTH].translation, STEP * DEPTH as f64);
+    scene.validate().unwrap();
+
+    scene.set_local(top, Transform::from_translation(STEP * 2.0)).unwrap();
+    assert_eq!(scene.hierarchy().worlds()[DEPTH].translation, STEP * (DEPTH + 1) as f64);
+    assert!(matches!(scene.reparent(top, leaf, Keep::Local), Err(Error::Cycle { .. })));
+
+    // The lower half moves up, then the upper half goes.
+    scene.reparent(middle, scene.root(), Keep::World).unwrap();
+    assert_eq!(scene.world(leaf).unwrap().translation, STEP * (DEPTH + 1) as f64);
+    scene.remove(top).unwrap();
+    assert_eq!(scene.node_count(), 1 + DEPTH - DEPTH / 2 + 1);
+    scene.validate().unwrap();
+    scene.remove(middle).unwrap();
+    assert_eq!((scene.node_count(), scene.core_count()), (1, 1));
+}
+
+#[test]
+fn a_parent_of_1_000_000_children() {
+    const WIDTH: usize = 1_000_000;
+    let mut scene = Scene::new();
+    let first = scene.add(scene.root(), Transform::from_translation(STEP)).unwrap();
+    let core = scene.core_key(first).unwrap();
+    let children: Vec<NodeKey> =
+        std::iter::once(first).chain((1..WIDTH).map(|_| scene.add(scene.root(), core).unwrap())).collect();
+    assert!(scene.children(scene.root()).unwrap().eq(children.iter().copied()));
+    assert_eq!(scene.hierarchy().worlds().len(), WIDTH + 1);
+
+    // They share one core: all move.
+    scene.set_local(children[WIDTH / 2], Transform::from_translation(STEP * 3.0)).unwrap();
+    assert!(scene.hierarchy().worlds()[1..].iter().all(|world| world.translation == STEP * 3.0));
+    scene.validate().unwrap();
+
+    // In the middle of both lists: of siblings, and of users of the core.
+    for &child in children.iter().skip(1).step_by(2) {
+        scene.remove(child).unwrap();
+    }
+    for &child in children.iter().step_by(4) {
+        scene.reparent(child, children[2], Keep::Local).unwrap();
+    }
+    scene.validate().unwrap();
+    assert_eq!(scene.users(core).unwrap().count(), WIDTH / 2);
+    assert_eq!(scene.children(children[2]).unwrap().count(), WIDTH / 4);
+    for &child in children.iter().skip(2).step_by(4) {
+        scene.remove(child).unwrap();
+    }
+    assert_eq!((scene.node_count(), scene.core_count()), (1, 1));
+}
+
+#[test]
+#[ignore = "prints times: cargo test --release --test graph_scale -- --ignored --nocapture"]
+fn times_of_a_million_nodes() {
+    let mut scene = Scene::new();
+    let time = |what: &str, work: &mut dyn FnMut()| {
+        let start = Instant::now();
+        work();
+        println!("{what:<44} {:>10.1} us", start.elapsed().as_secs_f64() * 1e6);
+    };
+    let mut movers = Vec::new();
+    time("add 1,000,000 transform nodes", &mut || movers = humanoids(&mut scene));
+    let mut cursor = scene.subscribe();
+    assert_eq!(scene.changes_since(&mut cursor), Changes::Everything);
+    time("hierarchy from nothing", &mut || assert!(!scene.hierarchy().nodes().is_empty()));
+    time("hierarchy, nothing changed", &mut || assert!(!scene.hierarchy().nodes().is_empty()));
+
+    let mut offset = 0.0;
+    for (what, stride) in [("1 leaf", movers.len()), ("1 %", 100), ("all", 1)] {
+        for _ in 0..5 {
+            offset += 1.0;
+            let transform = Transform::from_translation(STEP * offset);
+            time(&format!("set_local, {what}"), &mut || {
+                for &node in movers.iter().rev().step_by(stride) {
+                    scene.set_local(node, transform).unwrap();
+                }
+            });
+            time(&format!("hierarchy after {what}"), &mut || assert!(!scene.hierarchy().nodes().is_empty()));
+            time(&format!("read the log after {what}"), &mut || {
+                assert_ne!(scene.changes_since(&mut cursor), Changes::Everything);
+            });
+        }
+    }
+    scene.add(scene.root(), Core::Group).unwrap();
+    time("hierarchy after a structural edit", &mut || assert!(!scene.hierarchy().nodes().is_empty()));
+    time("world_bounds of the root", &mut || assert!(scene.world_bounds(scene.root()).unwrap().is_empty()));
+    time("remove everything", &mut || {
+        for &node in movers.iter().step_by(100) {
+            scene.remove(node).unwrap();
+        }
+    });
+}
+
+/// 10,000 trees of 100 transform nodes, in preorder.
+fn humanoids(scene: &mut Scene) -> Vec<NodeKey> {
+    let mut nodes: Vec<NodeKey> = Vec::with_capacity(1_000_000);
+    for i in 0..1_000_000 {
+        let parent = if i % 100 == 0 { scene.root() } else { nodes[i - 1 - (i % 100 - 1) % 7] };
+        nodes.push(scene.add(parent, Transform::from_translation(STEP)).unwrap());
+    }
+    nodes
+}

@@ -1,0 +1,177 @@
+//! Every kernel is valid WGSL, and its structs and constants are those of the Rust types.
+
+#![allow(clippy::panic, reason = "a test fails by panicking")]
+
+use std::collections::BTreeMap;
+use std::mem::{offset_of, size_of};
+
+use naga::proc::Layouter;
+use naga::valid::{Capabilities, ValidationFlags, Validator};
+use ropewalk::compile::Needs;
+use ropewalk::device::layout::{
+    FrameParams, Hit, Instance, InstanceFlags, LIGHT_DIRECTIONAL, LIGHT_POINT, LIGHT_SPOT, Light, Material,
+    MaterialFlags, NONE, Node, Ray, RayBatch, Streams, TextureFlags, TextureInfo, Triangle,
+};
+use ropewalk::trace::shader::EntryPoint;
+
+const TYPES: &str = include_str!("../shaders/shared/types.wgsl");
+
+fn parse(entry: EntryPoint, needs: Needs) -> naga::Module {
+    let source = entry.source(needs);
+    let module = naga::front::wgsl::parse_str(&source)
+        .unwrap_or_else(|e| panic!("{entry:?} with {needs:?}: {}", e.emit_to_string(&source)));
+    Validator::new(ValidationFlags::all(), Capabilities::empty())
+        .validate(&module)
+        .unwrap_or_else(|e| panic!("{entry:?} with {needs:?}: {}", e.emit_to_string(&source)));
+    module
+}
+
+#[test]
+fn every_kernel_is_valid_whatever_is_needed() {
+    let all = Needs::all();
+    let one_more_or_less = all.iter().flat_map(|flag| [flag, all - flag]);
+    for needs in [Needs::empty(), all].into_iter().chain(one_more_or_less) {
+        for entry in EntryPoint::ALL {
+            let module = parse(entry, needs);
+            assert!(module.entry_points.iter().any(|e| e.name == entry.name()), "{entry:?} is in its module");
+        }
+    }
+}
+
+/// Name, offset and size of each member of a struct, and its whole size.
+type Layout = (Vec<(String, u32, u32)>, u32);
+
+/// The layout of a Rust struct; a member that is left out does not compile.
+macro_rules! layout_of {
+    ($type:ident { $($member:ident),* $(,)? }) => {{
+        let value: $type = bytemuck::Zeroable::zeroed();
+        let $type { $($member: _),* } = value;
+        let members = vec![$((
+            stringify!($member).to_owned(),
+            offset_of!($type, $member) as u32,
+            size_of_val(&value.$member) as u32,
+        )),*];
+        (stringify!($type).to_owned(), (members, size_of::<$type>() as u32))
+    }};
+}
+
+fn rust_layouts() -> BTreeMap<String, Layout> {
+    BTreeMap::from([
+        layout_of!(Node { min, escape_index, max, primitives }),
+        layout_of!(Triangle { v0, primitive, v1, _pad0, v2, _pad1 }),
+        layout_of!(Instance {
+            local_from_world,
+            world_from_local,
+            first_node,
+            first_triangle,
+            geometry,
+            material,
+            mask,
+            flags,
+            node
+        }),
+        layout_of!(Streams { first_index, first_normal, first_tex_coord_0, first_tex_coord_1, first_color, _pad }),
+        layout_of!(Material {
+            base_color,
+            emissive,
+            metallic,
+            roughness,
+            transmission,
+            ior,
+            alpha_cutoff,
+            flags,
+            base_color_texture,
+            metallic_roughness_texture,
+            emissive_texture,
+            transmission_texture,
+            normal_texture,
+            normal_scale,
+            _pad
+        }),
+        layout_of!(TextureInfo { row_u, row_v, first_texel, width, height, flags }),
+        layout_of!(Light { position, kind, direction, range, color, cone_scale, cone_offset, _pad0, _pad1, _pad2 }),
+        layout_of!(FrameParams {
+            eye,
+            width,
+            right,
+            height,
+            up,
+            max_depth,
+            forward,
+            orthographic,
+            sky_zenith,
+            ray_mask,
+            sky_horizon,
+            light_count,
+            sky_ground,
+            first_row,
+            sky_up,
+            _pad
+        }),
+        layout_of!(Ray { origin, t_min, direction, t_max }),
+        layout_of!(RayBatch { first, count, ray_mask, _pad }),
+        layout_of!(Hit { t, u, v, instance, primitive, triangle, back, _pad }),
+    ])
+}
+
+fn wgsl_layouts(source: &str) -> BTreeMap<String, Layout> {
+    let module = naga::front::wgsl::parse_str(source).unwrap_or_else(|e| panic!("{}", e.emit_to_string(source)));
+    let mut layouter = Layouter::default();
+    layouter.update(module.to_ctx()).unwrap_or_else(|e| panic!("{e}"));
+    let layout = |ty: &naga::Type| {
+        let naga::TypeInner::Struct { members, span } = &ty.inner else { return None };
+        let member = |m: &naga::StructMember| {
+            (m.name.clone().unwrap_or_default(), m.offset, module.types[m.ty].inner.size(module.to_ctx()))
+        };
+        Some((ty.name.clone()?, (members.iter().map(member).collect(), *span)))
+    };
+    module.types.iter().filter_map(|(_, ty)| layout(ty)).collect()
+}
+
+#[test]
+fn structs_have_the_same_members_at_the_same_offsets() {
+    let (rust, wgsl) = (rust_layouts(), wgsl_layouts(TYPES));
+    assert_eq!(wgsl.len(), TYPES.matches("struct ").count());
+    assert_eq!(rust, wgsl);
+}
+
+#[test]
+fn swapped_members_are_noticed() {
+    let swapped = TYPES.replace("mask: u32,\n    flags: u32,", "flags: u32,\n    mask: u32,");
+    assert_ne!(swapped, TYPES);
+    let (rust, wgsl) = (rust_layouts(), wgsl_layouts(&swapped));
+    assert_ne!(rust["Instance"], wgsl["Instance"]);
+    assert_eq!(rust["Instance"].1, wgsl["Instance"].1);
+}
+
+fn rust_constants() -> BTreeMap<String, String> {
+    fn flags<F: bitflags::Flags<Bits = u32>>(prefix: &str) -> Vec<(String, String)> {
+        F::FLAGS.iter().map(|f| (format!("{prefix}_{}", f.name()), f.value().bits().to_string())).collect()
+    }
+    let numbers = [
+        ("NONE", NONE.to_string()),
+        ("LIGHT_POINT", LIGHT_POINT.to_string()),
+        ("LIGHT_SPOT", LIGHT_SPOT.to_string()),
+        ("LIGHT_DIRECTIONAL", LIGHT_DIRECTIONAL.to_string()),
+        ("F32_MAX", f32::MAX.to_string()),
+        ("F32_MIN_NORMAL", f32::MIN_POSITIVE.to_string()),
+    ];
+    let numbers = numbers.map(|(name, value)| (name.to_owned(), value));
+    let flags =
+        [flags::<InstanceFlags>("INSTANCE"), flags::<MaterialFlags>("MATERIAL"), flags::<TextureFlags>("TEXTURE")];
+    numbers.into_iter().chain(flags.into_iter().flatten()).collect()
+}
+
+#[test]
+fn constants_have_the_same_values() {
+    let module = naga::front::wgsl::parse_str(TYPES).unwrap_or_else(|e| panic!("{}", e.emit_to_string(TYPES)));
+    let value = |constant: &naga::Constant| match module.global_expressions[constant.init] {
+        naga::Expression::Literal(naga::Literal::U32(value)) => value.to_string(),
+        naga::Expression::Literal(naga::Literal::F32(value)) => value.to_string(),
+        ref other => panic!("{:?} is {other:?}", constant.name),
+    };
+    let wgsl: BTreeMap<String, String> =
+        module.constants.iter().map(|(_, c)| (c.name.clone().unwrap_or_default(), value(c))).collect();
+    assert!(!wgsl.is_empty());
+    assert_eq!(rust_constants(), wgsl);
+}

@@ -1,0 +1,153 @@
+//! Device arrays of meshes under transforms.
+
+use glam::{DAffine3, DMat3, Vec3};
+use ropewalk::accel::{Blas, BuildParams};
+use ropewalk::device::DeviceArrays;
+use ropewalk::device::layout::{Instance, InstanceFlags, NONE, Node, PrimitiveRange, Triangle};
+use ropewalk::graph::Geometry;
+use ropewalk::math::Aabb;
+
+use super::Mesh;
+
+/// A mesh in the world.
+#[derive(Clone)]
+pub struct Placed {
+    /// Index into the meshes.
+    pub mesh: usize,
+    pub world_from_local: DAffine3,
+    pub mask: u32,
+    pub flags: InstanceFlags,
+}
+
+impl Placed {
+    pub fn new(mesh: usize, world_from_local: DAffine3) -> Self {
+        Self { mesh, world_from_local, mask: u32::MAX, flags: InstanceFlags::empty() }
+    }
+}
+
+/// What makes the bottom levels.
+#[derive(Clone, Copy, Debug)]
+pub enum Builder {
+    /// Splits at the median: simple enough to trust.
+    Median,
+    /// [`Blas::build`].
+    Product,
+}
+
+impl Builder {
+    pub const BOTH: [Self; 2] = [Self::Median, Self::Product];
+}
+
+/// The arrays of `placed` in their order, made without the product's builders.
+pub fn arrays(meshes: &[Mesh], placed: &[Placed]) -> DeviceArrays {
+    arrays_by(Builder::Median, meshes, placed)
+}
+
+/// The arrays of `placed` in their order.
+pub fn arrays_by(builder: Builder, meshes: &[Mesh], placed: &[Placed]) -> DeviceArrays {
+    let mut arrays = DeviceArrays::default();
+    let (mut nodes, mut triangles, mut starts) = (Vec::new(), Vec::new(), Vec::new());
+    for mesh in meshes {
+        starts.push((nodes.len() as u32, triangles.len() as u32));
+        let (blas_nodes, blas_triangles) = match builder {
+            Builder::Median => median_blas(mesh),
+            Builder::Product => product_blas(mesh),
+        };
+        nodes.extend(blas_nodes);
+        triangles.extend(blas_triangles);
+    }
+    let instances: Vec<Instance> = placed.iter().map(|p| instance(p, starts[p.mesh])).collect();
+    let boxes: Vec<Aabb> = placed.iter().map(|p| world_box(&meshes[p.mesh], &p.world_from_local)).collect();
+    let (order, mut tlas) = hierarchy(&boxes, 1);
+    for node in tlas.iter_mut().filter(|n| n.primitives != PrimitiveRange::INNER) {
+        node.primitives = PrimitiveRange::leaf(order[node.primitives.first() as usize], 1);
+    }
+    arrays.tlas_nodes.replace(&tlas);
+    arrays.instances.replace(&instances);
+    arrays.blas_nodes.replace(&nodes);
+    arrays.triangles.replace(&triangles);
+    arrays
+}
+
+fn median_blas(mesh: &Mesh) -> (Vec<Node>, Vec<Triangle>) {
+    let boxes: Vec<Aabb> = (0..mesh.indices.len()).map(|i| Aabb::from_points(mesh.triangle(i))).collect();
+    let (order, nodes) = hierarchy(&boxes, 2);
+    (nodes, order.iter().map(|&i| triangle(i, mesh.triangle(i as usize))).collect())
+}
+
+fn product_blas(mesh: &Mesh) -> (Vec<Node>, Vec<Triangle>) {
+    let geometry = Geometry::new(mesh.positions.clone(), mesh.indices.clone());
+    let blas = Blas::build(&geometry, &BuildParams::default()).unwrap();
+    (blas.nodes, blas.triangles)
+}
+
+fn triangle(primitive: u32, [v0, v1, v2]: [Vec3; 3]) -> Triangle {
+    Triangle { v0: v0.to_array(), primitive, v1: v1.to_array(), _pad0: 0, v2: v2.to_array(), _pad1: 0 }
+}
+
+fn instance(placed: &Placed, (first_node, first_triangle): (u32, u32)) -> Instance {
+    Instance {
+        local_from_world: rows(&placed.world_from_local.inverse()),
+        world_from_local: rows(&placed.world_from_local),
+        first_node,
+        first_triangle,
+        geometry: 0,
+        material: 0,
+        mask: placed.mask,
+        flags: placed.flags.bits(),
+        node: [0; 2],
+    }
+}
+
+fn rows(affine: &DAffine3) -> [[f32; 4]; 3] {
+    let rows: DMat3 = affine.matrix3.transpose();
+    [0, 1, 2].map(|i| rows.col(i).extend(affine.translation[i]).as_vec4().to_array())
+}
+
+fn world_box(mesh: &Mesh, world_from_local: &DAffine3) -> Aabb {
+    let world = |p: &Vec3| world_from_local.transform_point3(p.as_dvec3()).as_vec3();
+    padded(Aabb::from_points(mesh.positions.iter().map(world)))
+}
+
+/// Some ulp of the largest coordinate outward.
+fn padded(aabb: Aabb) -> Aabb {
+    let pad = aabb.min.abs().max(aabb.max.abs()).max_element() * f32::EPSILON * 4.0;
+    Aabb { min: aabb.min - pad, max: aabb.max + pad }
+}
+
+/// The primitives in leaf order, and the nodes.
+fn hierarchy(boxes: &[Aabb], leaf_size: usize) -> (Vec<u32>, Vec<Node>) {
+    let mut order: Vec<u32> = (0..boxes.len() as u32).collect();
+    let mut nodes = Vec::new();
+    if !order.is_empty() {
+        split(boxes, &mut order, 0, leaf_size, &mut nodes);
+    }
+    let count = nodes.len() as u32;
+    for node in nodes.iter_mut().filter(|n: &&mut Node| n.escape_index == count) {
+        node.escape_index = NONE;
+    }
+    (order, nodes)
+}
+
+/// Appends the subtree of `order`, which starts at `first` in the whole; as deep as the logarithm of its length.
+fn split(boxes: &[Aabb], order: &mut [u32], first: u32, leaf_size: usize, nodes: &mut Vec<Node>) {
+    let bounds = order.iter().fold(Aabb::EMPTY, |b, &i| b.union(boxes[i as usize]));
+    let bounds = padded(bounds);
+    let index = nodes.len();
+    let is_leaf = order.len() <= leaf_size;
+    let primitives = if is_leaf { PrimitiveRange::leaf(first, order.len() as u32) } else { PrimitiveRange::INNER };
+    nodes.push(Node { min: bounds.min.to_array(), escape_index: 0, max: bounds.max.to_array(), primitives });
+    if !is_leaf {
+        let extent = bounds.max - bounds.min;
+        let axis = extent.max_position();
+        let middle = order.len() / 2;
+        order.select_nth_unstable_by(middle, |&a, &b| {
+            let center = |i: u32| boxes[i as usize].center()[axis];
+            center(a).total_cmp(&center(b))
+        });
+        let (left, right) = order.split_at_mut(middle);
+        split(boxes, left, first, leaf_size, nodes);
+        split(boxes, right, first + middle as u32, leaf_size, nodes);
+    }
+    nodes[index].escape_index = nodes.len() as u32;
+}
