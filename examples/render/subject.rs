@@ -25,7 +25,7 @@ impl Subject {
     pub(crate) fn load(arguments: &Arguments) -> Result<Self, String> {
         let mut scene = Scene::new();
         let (import, sky) = match &arguments.file {
-            Some(file) => (Some(import(file, arguments, &mut scene)?), Sky::default()),
+            Some(file) => (Some(import(file, arguments, &mut scene)?), neutral_sky()),
             None => {
                 builtin::build(&mut scene).map_err(|error| format!("the built-in scene: {error}"))?;
                 (None, builtin::sky())
@@ -95,6 +95,12 @@ fn camera_name(scene: &Scene, camera: NodeKey) -> &str {
     if name.is_empty() { parent.and_then(|parent| scene.name(parent).ok()).unwrap_or_default() } else { name }
 }
 
+/// Grey, and so dark that a white surface below it and the key light is not yet white in the image.
+fn neutral_sky() -> Sky {
+    let [zenith, horizon, ground] = [0.42, 0.50, 0.16].map(Vec3::splat);
+    Sky { zenith, horizon, ground, up: Vec3::Y }
+}
+
 /// Where there is no light, adds one from above the left shoulder of the viewer.
 fn light_if_dark(scene: &mut Scene, view: &View) -> ropewalk::Result<()> {
     if !cores_of_kind(scene, |core| matches!(core, Core::Light(_))).is_empty() {
@@ -104,7 +110,7 @@ fn light_if_dark(scene: &mut Scene, view: &View) -> ropewalk::Result<()> {
     let pose = Transform::looking_at(from, DVec3::ZERO, DVec3::Y);
     let key_light = scene.add(scene.root(), pose)?;
     scene.set_name(key_light, "key light")?;
-    scene.add(key_light, Light { kind: LightKind::Directional, color: Vec3::ONE, intensity: 2.5, range: None })?;
+    scene.add(key_light, Light { kind: LightKind::Directional, color: Vec3::ONE, intensity: 1.8, range: None })?;
     Ok(())
 }
 

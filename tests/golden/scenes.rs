@@ -9,9 +9,14 @@ use ropewalk::{AlphaMode, Camera, Core, Filter, Result, Scene, Sky, Transform, V
 
 use crate::builtin::{self, shapes, textures};
 
+/// The size of a golden image.
+const WIDTH: u32 = 128;
+const HEIGHT: u32 = 96;
+
+/// The scene of the example, smaller: it has so much detail that its file would be too large.
 pub(crate) fn builtin_scene(scene: &mut Scene) -> Result<View> {
     let camera = builtin::build(scene)?;
-    let mut view = View::from_camera(scene, camera, 1, 1)?;
+    let mut view = View::from_camera(scene, camera, 96, 60)?;
     view.sky = builtin::sky();
     Ok(view)
 }
@@ -31,7 +36,8 @@ pub(crate) fn glass(scene: &mut Scene) -> Result<View> {
     put(scene, shapes::cuboid(Vec3::ONE), green, turned)?;
     put(scene, shapes::sphere(5), Material::glass(2.4), scaled(1.9, 0.5, 0.6, dvec3(0.5, 0.5, 0.15)))?;
     add_sun(scene, 2.0)?;
-    let mut view = View::look_at(dvec3(0.2, 1.5, 5.0), dvec3(0.2, 0.8, 0.0), DVec3::Y, Camera::default(), 1, 1);
+    let mut view =
+        View::look_at(dvec3(0.2, 1.5, 5.0), dvec3(0.2, 0.8, 0.0), DVec3::Y, Camera::default(), WIDTH, HEIGHT);
     view.max_depth = 6;
     Ok(view)
 }
@@ -45,7 +51,8 @@ pub(crate) fn mirror_depth(scene: &mut Scene) -> Result<View> {
     put(scene, shapes::sphere(4), Material::diffuse(vec3(0.8, 0.1, 0.05)), scaled(-0.3, 0.5, 0.4, DVec3::splat(0.5)))?;
     put(scene, shapes::cuboid(Vec3::splat(0.25)), Material::diffuse(vec3(0.1, 0.3, 0.8)), at(0.7, 0.25, -0.6))?;
     add_sun(scene, 2.0)?;
-    let mut view = View::look_at(dvec3(1.3, 1.7, 2.4), dvec3(-0.1, 0.7, -2.0), DVec3::Y, Camera::default(), 1, 1);
+    let mut view =
+        View::look_at(dvec3(1.3, 1.7, 2.4), dvec3(-0.1, 0.7, -2.0), DVec3::Y, Camera::default(), WIDTH, HEIGHT);
     view.max_depth = View::MAX_DEPTH;
     Ok(view)
 }
@@ -85,7 +92,7 @@ pub(crate) fn texture_wrap(scene: &mut Scene) -> Result<View> {
         }
     }
     let camera = Camera::Orthographic { x_mag: 2.1, y_mag: 1.1 };
-    Ok(View::look_at(DVec3::Z * 5.0, DVec3::ZERO, DVec3::Y, camera, 1, 1))
+    Ok(View::look_at(DVec3::Z * 5.0, DVec3::ZERO, DVec3::Y, camera, WIDTH, HEIGHT))
 }
 
 /// Alpha masks with round holes, whose shadow has holes too, and three panes of blended colour one behind the other.
@@ -114,7 +121,7 @@ pub(crate) fn alpha(scene: &mut Scene) -> Result<View> {
         put(scene, shapes::cuboid(vec3(0.45, 0.6, 0.01)), pane, at(0.7 + 0.4 * i, 0.62 + 0.15 * i, z))?;
     }
     add_sun(scene, 3.0)?;
-    Ok(View::look_at(dvec3(0.2, 1.6, 4.5), dvec3(0.15, 0.7, 0.0), DVec3::Y, Camera::default(), 1, 1))
+    Ok(View::look_at(dvec3(0.2, 1.6, 4.5), dvec3(0.15, 0.7, 0.0), DVec3::Y, Camera::default(), WIDTH, HEIGHT))
 }
 
 /// One single-sided, unsymmetrical piece under scales of every sign, flat and smooth: none may be inside out.
@@ -142,7 +149,7 @@ pub(crate) fn mirrored(scene: &mut Scene) -> Result<View> {
         }
     }
     add_sun(scene, 3.0)?;
-    Ok(View::look_at(dvec3(0.8, 2.6, 4.4), dvec3(0.0, 0.4, -0.2), DVec3::Y, Camera::default(), 1, 1))
+    Ok(View::look_at(dvec3(0.8, 2.6, 4.4), dvec3(0.0, 0.4, -0.2), DVec3::Y, Camera::default(), WIDTH, HEIGHT))
 }
 
 /// A red spot, a green point light whose range ends on the floor, and a dim blue directional one, each with shadows.
@@ -164,7 +171,8 @@ pub(crate) fn lights(scene: &mut Scene) -> Result<View> {
         let pose = scene.add(scene.root(), Transform::looking_at(from, to, DVec3::Y))?;
         scene.add(pose, light)?;
     }
-    let mut view = View::look_at(dvec3(0.0, 2.4, 4.6), dvec3(0.0, 0.1, 0.0), DVec3::Y, Camera::default(), 1, 1);
+    let mut view =
+        View::look_at(dvec3(0.0, 2.4, 4.6), dvec3(0.0, 0.1, 0.0), DVec3::Y, Camera::default(), WIDTH, HEIGHT);
     view.sky = Sky::uniform(Vec3::splat(0.03));
     Ok(view)
 }
@@ -189,7 +197,7 @@ pub(crate) fn vertex_colors(scene: &mut Scene) -> Result<View> {
     });
     put(scene, ball, Material::default(), scaled(1.0, 0.8, 0.0, DVec3::splat(0.8)))?;
     add_sun(scene, 2.5)?;
-    Ok(View::look_at(dvec3(0.0, 1.9, 4.0), dvec3(0.0, 0.7, 0.0), DVec3::Y, Camera::default(), 1, 1))
+    Ok(View::look_at(dvec3(0.0, 1.9, 4.0), dvec3(0.0, 0.7, 0.0), DVec3::Y, Camera::default(), WIDTH, HEIGHT))
 }
 
 /// In the dark: what emits is seen, evenly or by texture; what is unlit is seen as it is; the rest is black.
@@ -213,7 +221,7 @@ pub(crate) fn emissive_unlit(scene: &mut Scene) -> Result<View> {
         };
         put(scene, if textured { shapes::cuboid(Vec3::ONE) } else { shapes::sphere(4) }, material, pose)?;
     }
-    let mut view = View::look_at(DVec3::Z * 4.5, DVec3::ZERO, DVec3::Y, Camera::default(), 1, 1);
+    let mut view = View::look_at(DVec3::Z * 4.5, DVec3::ZERO, DVec3::Y, Camera::default(), WIDTH, HEIGHT);
     view.sky = Sky::uniform(Vec3::ZERO);
     Ok(view)
 }
@@ -238,7 +246,7 @@ pub(crate) fn orthographic_instances(scene: &mut Scene) -> Result<View> {
     }
     add_sun(scene, 2.5)?;
     let camera = Camera::Orthographic { x_mag: 5.0, y_mag: 3.75 };
-    Ok(View::look_at(dvec3(10.0, 8.0, 10.0), dvec3(0.0, 0.3, 0.0), DVec3::Y, camera, 1, 1))
+    Ok(View::look_at(dvec3(10.0, 8.0, 10.0), dvec3(0.0, 0.3, 0.0), DVec3::Y, camera, WIDTH, HEIGHT))
 }
 
 /// Balls from smooth to rough; upper row of metal, lower of plastic; the last of each by texture.
@@ -268,7 +276,7 @@ pub(crate) fn metallic_roughness(scene: &mut Scene) -> Result<View> {
     }
     add_sun(scene, 3.0)?;
     let camera = Camera::Perspective { y_fov: 0.55, aspect: None };
-    Ok(View::look_at(dvec3(0.0, 0.6, 8.0), DVec3::ZERO, DVec3::Y, camera, 1, 1))
+    Ok(View::look_at(dvec3(0.0, 0.6, 8.0), DVec3::ZERO, DVec3::Y, camera, WIDTH, HEIGHT))
 }
 
 /// Flat plates whose normals come from a texture of round bumps, at three strengths: 0, 1 and -1 (dents).
@@ -299,7 +307,7 @@ pub(crate) fn normal_texture(scene: &mut Scene) -> Result<View> {
         put(scene, shapes::cuboid(vec3(0.6, 0.9, 0.05)), material, place)?;
     }
     add_sun(scene, 3.0)?;
-    Ok(View::look_at(dvec3(0.0, 0.0, 3.0), DVec3::ZERO, DVec3::Y, Camera::default(), 1, 1))
+    Ok(View::look_at(dvec3(0.0, 0.0, 3.0), DVec3::ZERO, DVec3::Y, Camera::default(), WIDTH, HEIGHT))
 }
 
 /// A material that shows black and white squares of a quarter of the texture's sides.

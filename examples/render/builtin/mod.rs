@@ -85,13 +85,14 @@ fn add_colonnade(scene: &mut Scene, root: NodeKey, marble: &Material) -> Result<
 
     // Each profile is a column part's own: heights are absolute.
     let height = COLUMN_HEIGHT as f32;
-    let base = [(0.46, 0.0), (0.46, 0.12), (0.40, 0.14), (0.43, 0.18), (0.43, 0.24), (0.36, 0.28), (0.33, 0.32)];
+    let base = [(0.45, 0.06), (0.46, 0.12), (0.40, 0.15), (0.43, 0.18), (0.43, 0.24), (0.36, 0.28), (0.33, 0.32)];
     let shaft: Vec<(f32, f32)> =
         (0..=12).map(|i| i as f32 / 12.0).map(|t| (0.32 - 0.05 * t * t, 0.32 + t * (height - 0.72))).collect();
     let capital =
         [(0.27, -0.40), (0.29, -0.37), (0.27, -0.34), (0.30, -0.28), (0.42, -0.14), (0.45, -0.12), (0.45, 0.0)];
     let capital = capital.map(|(radius, below_top)| (radius, height + below_top));
     let parts = [
+        core(scene, shapes::cuboid(Vec3::new(0.48, 0.06, 0.48)), marble.clone())?,
         core(scene, shapes::lathe(&points(&base), 48, 0, 0.0), marble.clone())?,
         core(scene, shapes::lathe(&points(&shaft), 192, 16, 0.10), marble.clone())?,
         core(scene, shapes::lathe(&points(&capital), 48, 0, 0.0), marble.clone())?,
