@@ -40,7 +40,7 @@ fn schlick(cosine: f32) -> f32 {
 
 // How much of the rise of reflectance towards grazing angles is left on a rough surface: a fit to the microfacets' albedo.
 fn polish(roughness: f32) -> f32 {
-    return 1.0 - roughness * (0.3 + 0.66 * roughness);
+    return 1.0 - roughness * (0.1 + 0.86 * roughness);
 }
 
 // How a surface divides the light that comes along the line of view; with what it absorbs, the sum is 1.
