@@ -6,11 +6,11 @@ mod kernel_support;
 
 use glam::{DAffine3, DQuat, DVec3};
 use kernel_support::oracle::{Candidate, Fault, Verdict, candidates, fault};
-use kernel_support::{Mesh, Placed, Random, arrays};
+use kernel_support::{Mesh, Placed, Random, arrays, tracers};
 use rayon::prelude::*;
 use ropewalk::device::DeviceArrays;
 use ropewalk::device::layout::{InstanceFlags, NONE, Ray};
-use ropewalk::trace::{Cpu, Emulated, Tracer};
+use ropewalk::trace::Tracer;
 
 /// What a comparison found.
 #[derive(Default, Debug)]
@@ -51,8 +51,7 @@ type Truth = Vec<Vec<Candidate>>;
 /// Compares every executor with f64, and prints how they did.
 fn check(what: &str, arrays: &mut DeviceArrays, rays: &[Ray], ray_mask: u32) {
     let truth: Truth = rays.par_iter().map(|ray| candidates(arrays, ray, ray_mask)).collect();
-    let mut tracers: [Box<dyn Tracer>; 2] = [Box::new(Emulated::default()), Box::new(Cpu::default())];
-    for tracer in &mut tracers {
+    for tracer in &mut tracers() {
         tracer.upload(arrays).unwrap();
         let tally = compare(tracer.as_mut(), arrays, rays, ray_mask, &truth);
         let percentile = |p: usize| tally.t_errors.get(tally.t_errors.len() * p / 100).copied().unwrap_or(0.0);
@@ -199,8 +198,7 @@ fn of_equal_hits_the_lower_instance_and_primitive_wins() {
     mesh.indices = mesh.indices.iter().cycle().take(144).copied().collect();
     let mut arrays = arrays(&[mesh], &vec![Placed::new(0, DAffine3::IDENTITY); 12]);
     let rays = rays(&mut Random(4), DVec3::ZERO, 1.0, 2000);
-    let mut tracers: [Box<dyn Tracer>; 2] = [Box::new(Emulated::default()), Box::new(Cpu::default())];
-    for tracer in &mut tracers {
+    for tracer in &mut tracers() {
         tracer.upload(&mut arrays).unwrap();
         let hits = tracer.closest_hits(&arrays, &rays, 1).unwrap();
         let hits: Vec<_> = hits.iter().filter(|h| h.instance != NONE).collect();

@@ -1,0 +1,22 @@
+#!/usr/bin/env bash
+# Runs every test, the GPU tests too: where no usable adapter is found, a software Vulkan driver is installed first.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+# GPU tests fail, not skip, without an adapter.
+export ROPEWALK_REQUIRE_GPU=1
+
+if ! cargo test --locked --quiet --test gpu -- --exact device::an_adapter_serves; then
+    echo "No usable GPU adapter (see above): installing a software Vulkan driver."
+    bash scripts/install-vulkan.sh
+fi
+if [ -z "${ROPEWALK_SCENES:-}" ]; then
+    echo "skipped: tests that need sample scenes (ROPEWALK_SCENES names no folder)"
+fi
+
+cargo test --locked --quiet --doc
+if cargo nextest --version >/dev/null 2>&1; then
+    cargo nextest run --locked --no-fail-fast
+else
+    cargo test --locked --no-fail-fast --lib --bins --tests --examples
+fi

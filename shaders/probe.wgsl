@@ -1,0 +1,38 @@
+// What a driver makes of long loops. Mesa 22's llvmpipe ends every loop once an invocation has gone round 65,535 times
+// in all, without an error: pixels of a deep scene would be silently wrong. Each invocation goes round TURNS times, in
+// one loop, nested loops and loops one after the other, and leaves the count and a value that each turn depends on.
+// Twin of src/trace/gpu/probe.rs.
+
+struct Turns {
+    outer: u32,
+    inner: u32,
+    after: u32,
+    _pad: u32,
+}
+
+struct Outcome {
+    turns: u32,
+    value: u32,
+}
+
+@group(0) @binding(0) var<storage, read> turns: array<Turns>;
+@group(0) @binding(1) var<storage, read_write> outcomes: array<Outcome>;
+
+fn step(value: u32) -> u32 {
+    return value * 1664525u + 1013904223u;
+}
+
+@compute @workgroup_size(1)
+fn probe(@builtin(global_invocation_id) id: vec3<u32>) {
+    let planned = turns[id.x];
+    var outcome = Outcome(0u, id.x);
+    for (var i = 0u; i < planned.outer; i++) {
+        for (var j = 0u; j < planned.inner; j++) {
+            outcome = Outcome(outcome.turns + 1u, step(outcome.value));
+        }
+    }
+    for (var i = 0u; i < planned.after; i++) {
+        outcome = Outcome(outcome.turns + 1u, step(outcome.value));
+    }
+    outcomes[id.x] = outcome;
+}

@@ -1,0 +1,287 @@
+//! The images of a frame, which stay on the GPU until they are read.
+
+use bytemuck::Pod;
+use wgpu::{BufferUsages, TextureFormat, TextureUsages};
+
+use super::context::Context;
+use super::timer::Timer;
+use crate::device::layout::FrameParams;
+use crate::trace::planes::{AovPlanes, Planes};
+use crate::{Error, Result};
+
+/// What fails if a frame cannot be traced.
+pub(super) const TRACING: &str = "tracing the frame";
+/// What fails if it cannot be read.
+pub(super) const READING: &str = "reading the frame";
+
+/// Pixels that one dispatch traces. Drivers end a dispatch that takes seconds: this many take a small part of one even
+/// where paths are long and the GPU is weak.
+const PIXELS_PER_DISPATCH: u32 = 1 << 18;
+
+/// Rows of a workgroup: a dispatch traces whole workgroups.
+const WORKGROUP_ROWS: u32 = 8;
+
+/// Columns of a workgroup.
+const WORKGROUP_COLUMNS: u32 = 8;
+
+/// The most bytes that are read back in one go.
+const READ_BYTES: u64 = 64 << 20;
+
+/// Every output is four 32-bit numbers a pixel.
+const PIXEL_BYTES: u32 = 16;
+
+/// Where the outputs of a frame are bound: group 1 of the entry points that render.
+pub(super) fn layout(context: &Context) -> wgpu::BindGroupLayout {
+    let output = |binding, format| wgpu::BindGroupLayoutEntry {
+        binding,
+        visibility: wgpu::ShaderStages::COMPUTE,
+        ty: wgpu::BindingType::StorageTexture {
+            access: wgpu::StorageTextureAccess::WriteOnly,
+            format,
+            view_dimension: wgpu::TextureViewDimension::D2,
+        },
+        count: None,
+    };
+    context.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("frame"),
+        entries: &[
+            wgpu::BindGroupLayoutEntry {
+                binding: 0,
+                visibility: wgpu::ShaderStages::COMPUTE,
+                ty: wgpu::BindingType::Buffer {
+                    ty: wgpu::BufferBindingType::Uniform,
+                    has_dynamic_offset: true,
+                    min_binding_size: wgpu::BufferSize::new(size_of::<FrameParams>() as u64),
+                },
+                count: None,
+            },
+            output(1, TextureFormat::Rgba32Float),
+            output(2, TextureFormat::Rgba32Float),
+            output(3, TextureFormat::Rgba32Uint),
+        ],
+    })
+}
+
+/// Fails if no image can be that large.
+pub(super) fn check_size([width, height]: [u32; 2], limits: &wgpu::Limits) -> Result<()> {
+    let limit = limits.max_texture_dimension_2d;
+    for (what, needed) in [("the image's width (pixels)", width), ("the image's height (pixels)", height)] {
+        if needed > limit {
+            let hint = "; render it in parts, or use the cpu executor";
+            return Err(Error::Limit { what, needed: needed.into(), limit: limit.into(), hint });
+        }
+    }
+    Planes::check_size(width, height)?;
+    Ok(())
+}
+
+/// The outputs of a frame of one size.
+#[derive(Debug)]
+pub(super) struct Frame {
+    width: u32,
+    height: u32,
+    aovs: bool,
+    color: wgpu::Texture,
+    normal_depth: wgpu::Texture,
+    ids: wgpu::Texture,
+    /// The parameters of each dispatch, `stride` bytes apart.
+    params: wgpu::Buffer,
+    stride: usize,
+    bind_group: wgpu::BindGroup,
+}
+
+/// One dispatch of a frame.
+struct Band {
+    /// Where its parameters are.
+    offset: u32,
+    /// Across and down.
+    workgroups: [u32; 2],
+}
+
+impl Frame {
+    /// Textures of that size, neither of which is 0; of one pixel for AOVs that are not wanted.
+    pub(super) fn new(
+        context: &Context,
+        layout: &wgpu::BindGroupLayout,
+        [width, height]: [u32; 2],
+        aovs: bool,
+    ) -> Self {
+        let texture = |label, format, size: [u32; 2]| {
+            context.device.create_texture(&wgpu::TextureDescriptor {
+                label: Some(label),
+                size: wgpu::Extent3d { width: size[0], height: size[1], depth_or_array_layers: 1 },
+                mip_level_count: 1,
+                sample_count: 1,
+                dimension: wgpu::TextureDimension::D2,
+                format,
+                usage: TextureUsages::STORAGE_BINDING | TextureUsages::TEXTURE_BINDING | TextureUsages::COPY_SRC,
+                view_formats: &[],
+            })
+        };
+        let aov_size = if aovs { [width, height] } else { [1, 1] };
+        let color = texture("color", TextureFormat::Rgba32Float, [width, height]);
+        let normal_depth = texture("normal and depth", TextureFormat::Rgba32Float, aov_size);
+        let ids = texture("ids", TextureFormat::Rgba32Uint, aov_size);
+        let stride =
+            size_of::<FrameParams>().next_multiple_of(context.limits.min_uniform_buffer_offset_alignment as usize);
+        let slots = 1 + height.div_ceil(band_rows(width)) as usize;
+        let params = context.buffer("frame", (slots * stride) as u64, BufferUsages::UNIFORM | BufferUsages::COPY_DST);
+        let view = |texture: &wgpu::Texture| texture.create_view(&wgpu::TextureViewDescriptor::default());
+        let outputs = [&view(&color), &view(&normal_depth), &view(&ids)];
+        let bind_group = bind(context, layout, &params, outputs);
+        Self { width, height, aovs, color, normal_depth, ids, params, stride, bind_group }
+    }
+
+    /// Whether a frame of that kind fits here.
+    pub(super) fn serves(&self, size: [u32; 2], aovs: bool) -> bool {
+        [self.width, self.height] == size && self.aovs == aovs
+    }
+
+    pub(super) fn color(&self) -> &wgpu::Texture {
+        &self.color
+    }
+
+    /// Bytes of GPU memory that the textures take.
+    pub(super) fn bytes(&self) -> u64 {
+        let pixels = |texture: &wgpu::Texture| u64::from(texture.width()) * u64::from(texture.height());
+        (pixels(&self.color) + pixels(&self.normal_depth) + pixels(&self.ids)) * u64::from(PIXEL_BYTES)
+    }
+
+    /// Has the frame traced, band after band of rows. A pipeline that `is_new` is dispatched once before, tracing nothing,
+    /// for the driver to compile it: the time of the frame is then that of tracing.
+    pub(super) fn trace(
+        &self,
+        context: &Context,
+        pipeline: &wgpu::ComputePipeline,
+        is_new: bool,
+        scene: &wgpu::BindGroup,
+        timer: Option<&Timer>,
+        params: &FrameParams,
+    ) -> Result<()> {
+        let dispatch = |encoder: &mut wgpu::CommandEncoder, band: &Band, timestamp_writes| {
+            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: None, timestamp_writes });
+            pass.set_pipeline(pipeline);
+            pass.set_bind_group(0, scene, &[]);
+            pass.set_bind_group(1, &self.bind_group, &[band.offset]);
+            pass.dispatch_workgroups(band.workgroups[0], band.workgroups[1], 1);
+        };
+        let bands = self.write_params(context, params);
+        if is_new {
+            context.submit(TRACING, |encoder| dispatch(encoder, &Band { offset: 0, workgroups: [1, 1] }, None))?;
+        }
+        for (i, band) in bands.iter().enumerate() {
+            let [is_first, is_last] = [i == 0, i + 1 == bands.len()];
+            context.submit(TRACING, |encoder| {
+                dispatch(encoder, band, timer.and_then(|timer| timer.writes(is_first, is_last)));
+                if let (true, Some(timer)) = (is_last, timer) {
+                    timer.resolve(encoder);
+                }
+            })?;
+        }
+        Ok(())
+    }
+
+    /// Writes the parameters of each dispatch: first those of one that traces nothing, then those of the bands.
+    fn write_params(&self, context: &Context, params: &FrameParams) -> Vec<Band> {
+        let rows = band_rows(self.width);
+        let mut bytes = Vec::new();
+        let mut add = |first_row| {
+            let offset = bytes.len();
+            bytes.extend_from_slice(bytemuck::bytes_of(&FrameParams { first_row, ..*params }));
+            bytes.resize(offset + self.stride, 0);
+            offset as u32
+        };
+        add(self.height);
+        let bands = (0..self.height).step_by(rows as usize).map(|first_row| {
+            let rows = rows.min(self.height - first_row);
+            Band {
+                offset: add(first_row),
+                workgroups: [self.width.div_ceil(WORKGROUP_COLUMNS), rows.div_ceil(WORKGROUP_ROWS)],
+            }
+        });
+        let bands = bands.collect();
+        context.queue.write_buffer(&self.params, 0, &bytes);
+        bands
+    }
+
+    /// Copies the frame from the GPU.
+    pub(super) fn read(&self, context: &Context) -> Result<Planes> {
+        let color = self.read_texture(context, &self.color)?;
+        let aovs = match self.aovs {
+            true => Some(AovPlanes {
+                normal_depth: self.read_texture(context, &self.normal_depth)?,
+                ids: self.read_texture(context, &self.ids)?,
+            }),
+            false => None,
+        };
+        Ok(Planes { width: self.width, height: self.height, color, aovs })
+    }
+
+    /// A texture's pixels, row by row. The GPU pads each row, and a large image is read in parts.
+    fn read_texture<T: Pod>(&self, context: &Context, texture: &wgpu::Texture) -> Result<Vec<[T; 4]>> {
+        let row = u64::from(self.width * PIXEL_BYTES);
+        let padded = row.next_multiple_of(u64::from(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT));
+        let rows = (READ_BYTES.min(context.limits.max_buffer_size) / padded).clamp(1, u64::from(self.height)) as u32;
+        let mut pixels = Vec::with_capacity(self.width as usize * self.height as usize);
+        context.scoped(READING, || {
+            let staging = context.staging(padded * u64::from(rows));
+            for y in (0..self.height).step_by(rows as usize) {
+                let rows = rows.min(self.height - y);
+                context.submit(READING, |encoder| copy_rows(encoder, texture, y, rows, &staging, padded as u32))?;
+                context.read(READING, &staging, padded * u64::from(rows), |bytes| {
+                    for line in bytes.chunks_exact(padded as usize) {
+                        pixels.extend(
+                            line[..row as usize]
+                                .chunks_exact(PIXEL_BYTES as usize)
+                                .map(bytemuck::pod_read_unaligned::<[T; 4]>),
+                        );
+                    }
+                })?;
+            }
+            Ok(())
+        })?;
+        Ok(pixels)
+    }
+}
+
+/// Binds one dispatch's parameters, which one being told by a dynamic offset, and the outputs.
+fn bind(
+    context: &Context,
+    layout: &wgpu::BindGroupLayout,
+    params: &wgpu::Buffer,
+    outputs: [&wgpu::TextureView; 3],
+) -> wgpu::BindGroup {
+    let size = wgpu::BufferSize::new(size_of::<FrameParams>() as u64);
+    let one = wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer: params, offset: 0, size });
+    let outputs = outputs.map(wgpu::BindingResource::TextureView);
+    let entries: Vec<_> = (0..)
+        .zip(std::iter::once(one).chain(outputs))
+        .map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource })
+        .collect();
+    context.device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some("frame"), layout, entries: &entries })
+}
+
+fn copy_rows(
+    encoder: &mut wgpu::CommandEncoder,
+    texture: &wgpu::Texture,
+    y: u32,
+    rows: u32,
+    staging: &wgpu::Buffer,
+    bytes_per_row: u32,
+) {
+    let from = wgpu::TexelCopyTextureInfo {
+        texture,
+        mip_level: 0,
+        origin: wgpu::Origin3d { x: 0, y, z: 0 },
+        aspect: wgpu::TextureAspect::All,
+    };
+    let layout =
+        wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(bytes_per_row), rows_per_image: Some(rows) };
+    let size = wgpu::Extent3d { width: texture.width(), height: rows, depth_or_array_layers: 1 };
+    encoder.copy_texture_to_buffer(from, wgpu::TexelCopyBufferInfo { buffer: staging, layout }, size);
+}
+
+/// Rows that one dispatch traces: whole workgroups, at least one.
+fn band_rows(width: u32) -> u32 {
+    (PIXELS_PER_DISPATCH / width.max(1)).max(WORKGROUP_ROWS) / WORKGROUP_ROWS * WORKGROUP_ROWS
+}

@@ -1,0 +1,14 @@
+//! The kernel on a GPU, through wgpu: Vulkan, Metal, Direct3D 12 or OpenGL.
+
+mod adapter;
+mod batch;
+mod context;
+mod frame;
+mod pipelines;
+mod probe;
+mod scene;
+mod timer;
+mod tracer;
+
+pub use adapter::{Adapters, GpuOptions, required_limits, wanted_features};
+pub use tracer::GpuTracer;

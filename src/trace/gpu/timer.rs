@@ -1,0 +1,59 @@
+//! How long the GPU traced, by its own clock.
+
+use std::time::Duration;
+
+use wgpu::BufferUsages;
+
+use super::context::Context;
+use crate::Result;
+
+const BYTES: u64 = 2 * size_of::<u64>() as u64;
+
+/// Two timestamps: when a frame's first dispatch began and when its last one ended.
+#[derive(Debug)]
+pub(super) struct Timer {
+    queries: wgpu::QuerySet,
+    resolved: wgpu::Buffer,
+    staging: wgpu::Buffer,
+    nanoseconds_per_tick: f32,
+}
+
+impl Timer {
+    /// None where the device has no timestamps.
+    pub(super) fn new(context: &Context) -> Option<Self> {
+        context.device.features().contains(wgpu::Features::TIMESTAMP_QUERY).then(|| Self {
+            queries: context.device.create_query_set(&wgpu::QuerySetDescriptor {
+                label: Some("trace time"),
+                ty: wgpu::QueryType::Timestamp,
+                count: 2,
+            }),
+            resolved: context.buffer("trace time", BYTES, BufferUsages::QUERY_RESOLVE | BufferUsages::COPY_SRC),
+            staging: context.staging(BYTES),
+            nanoseconds_per_tick: context.queue.get_timestamp_period(),
+        })
+    }
+
+    /// What a pass must write if it is the first of a frame, the last, both or neither.
+    pub(super) fn writes(&self, first: bool, last: bool) -> Option<wgpu::ComputePassTimestampWrites<'_>> {
+        (first || last).then(|| wgpu::ComputePassTimestampWrites {
+            query_set: &self.queries,
+            beginning_of_pass_write_index: first.then_some(0),
+            end_of_pass_write_index: last.then_some(1),
+        })
+    }
+
+    /// Records, after the last pass, what [`read`](Self::read) will find.
+    pub(super) fn resolve(&self, encoder: &mut wgpu::CommandEncoder) {
+        encoder.resolve_query_set(&self.queries, 0..2, &self.resolved, 0);
+        encoder.copy_buffer_to_buffer(&self.resolved, 0, &self.staging, 0, BYTES);
+    }
+
+    /// Waits for the frame and returns its time.
+    pub(super) fn read(&self, context: &Context) -> Result<Duration> {
+        context.read("reading the trace time", &self.staging, BYTES, |bytes| {
+            let ticks: Vec<u64> = bytemuck::pod_collect_to_vec(bytes);
+            let ticks = ticks[1].saturating_sub(ticks[0]);
+            Duration::from_nanos((ticks as f64 * f64::from(self.nanoseconds_per_tick)) as u64)
+        })
+    }
+}

@@ -1,0 +1,196 @@
+//! The executor itself: uploads, traces frames in bands, answers batches.
+
+use std::time::Duration;
+
+use bytemuck::Pod;
+
+use super::adapter::{self, GpuOptions};
+use super::batch::{self, Batch};
+use super::context::Context;
+use super::frame::{self, Frame};
+use super::pipelines::Pipelines;
+use super::probe;
+use super::scene::SceneBuffers;
+use super::timer::Timer;
+use crate::compile::Needs;
+use crate::device::DeviceArrays;
+use crate::device::layout::{Hit, Ray};
+use crate::image::Image;
+use crate::trace::planes::Planes;
+use crate::trace::shader::EntryPoint;
+use crate::trace::{DeviceInfo, FrameRequest, Tracer};
+use crate::{Error, Result};
+
+/// The kernel on a GPU.
+///
+/// After [`Error::Gpu`] a tracer can be used on, unless its device is lost: then every call fails so, and a new tracer
+/// must be made. An image without pixels renders as such.
+#[derive(Debug)]
+pub struct GpuTracer {
+    context: Context,
+    scene: SceneBuffers,
+    pipelines: Pipelines,
+    frame_layout: wgpu::BindGroupLayout,
+    batch_layout: wgpu::BindGroupLayout,
+    timer: Option<Timer>,
+    /// The last frame, where that has pixels and did not fail.
+    frame: Option<Frame>,
+    /// The last frame, where that has no pixels.
+    empty: Option<Planes>,
+    batch: Option<Batch>,
+}
+
+impl GpuTracer {
+    /// Takes the best adapter there is: a discrete GPU before an integrated, virtual or other one, then, if
+    /// [`Adapters::Any`](super::Adapters::Any), a software renderer. Tens of milliseconds.
+    ///
+    /// # Errors
+    /// [`Error::NoGpu`] names each adapter and why it was not taken: it is software, lacks something, or its driver
+    /// cuts long loops short.
+    pub fn new(options: &GpuOptions) -> Result<Self> {
+        Self::with_context(adapter::open(options)?)
+    }
+
+    /// Shares the application's device, so that its windows can show frames where they are.
+    ///
+    /// Request the device with [`required_limits`](super::required_limits) and, to know the time spent tracing,
+    /// [`wanted_features`](super::wanted_features).
+    ///
+    /// # Errors
+    /// [`Error::Limit`] names the first limit of the device that is too low; [`Error::NoGpu`] says that its driver
+    /// cuts long loops short; [`Error::Gpu`] that it failed.
+    pub fn from_device(device: wgpu::Device, queue: wgpu::Queue) -> Result<Self> {
+        let context = Context::new(device, queue);
+        adapter::check_limits(&context.limits)?;
+        probe::check_loops(&context)?;
+        Self::with_context(context)
+    }
+
+    fn with_context(context: Context) -> Result<Self> {
+        context
+            .scoped("preparing the kernel", || {
+                let scene = SceneBuffers::new(&context);
+                let [frame_layout, batch_layout] = [frame::layout(&context), batch::layout(&context)];
+                let pipelines = Pipelines::new(&context, scene.layout(), &frame_layout, &batch_layout);
+                Ok((scene, pipelines, frame_layout, batch_layout, Timer::new(&context)))
+            })
+            .map(|(scene, pipelines, frame_layout, batch_layout, timer)| Self {
+                context,
+                scene,
+                pipelines,
+                frame_layout,
+                batch_layout,
+                timer,
+                frame: None,
+                empty: Some(Planes::default()),
+                batch: None,
+            })
+    }
+
+    /// The device that traces.
+    pub fn wgpu_device(&self) -> &wgpu::Device {
+        &self.context.device
+    }
+
+    /// Its queue.
+    pub fn wgpu_queue(&self) -> &wgpu::Queue {
+        &self.context.queue
+    }
+
+    /// Bytes of GPU memory held for the scene, the last frame and batches.
+    pub fn memory(&self) -> u64 {
+        self.scene.bytes() + self.frame.as_ref().map_or(0, Frame::bytes) + self.batch.as_ref().map_or(0, Batch::bytes)
+    }
+
+    /// How often the scene's buffers had to be bound anew because one of them was replaced.
+    pub fn bind_groups_made(&self) -> u64 {
+        self.scene.bind_groups_made()
+    }
+
+    /// How many pipelines were compiled, one for each entry point and set of needs.
+    pub fn pipelines_made(&self) -> usize {
+        self.pipelines.len()
+    }
+
+    fn answers<T: Pod>(&mut self, entry_point: EntryPoint, rays: &[Ray], ray_mask: u32) -> Result<Vec<T>> {
+        let Self { context, scene, pipelines, batch_layout, batch, .. } = self;
+        let scene = scene.bind_group().ok_or_else(not_uploaded)?;
+        if rays.is_empty() {
+            return Ok(Vec::new());
+        }
+        let (pipeline, _) = pipelines.pipeline(context, entry_point, BATCH_NEEDS)?;
+        context.scoped(batch::DURING, || {
+            let batch = match batch.take().filter(|batch| batch.serves(rays.len())) {
+                Some(large_enough) => batch.insert(large_enough),
+                None => batch.insert(Batch::new(context, batch_layout, rays.len())),
+            };
+            batch.trace(context, &pipeline, scene, rays, ray_mask)
+        })
+    }
+}
+
+/// Batches honour whatever may make a hit not count.
+const BATCH_NEEDS: Needs = Needs::all();
+
+impl Tracer for GpuTracer {
+    fn device(&self) -> &DeviceInfo {
+        &self.context.info
+    }
+
+    fn upload(&mut self, arrays: &mut DeviceArrays) -> Result<u64> {
+        self.scene.upload(&self.context, arrays)
+    }
+
+    fn render(&mut self, _: &DeviceArrays, request: &FrameRequest) -> Result<()> {
+        let Self { context, scene, pipelines, frame_layout, timer, .. } = self;
+        let scene = scene.bind_group().ok_or_else(not_uploaded)?;
+        let size = [request.params.width, request.params.height];
+        frame::check_size(size, &context.limits)?;
+        if size.contains(&0) {
+            self.frame = None;
+            self.empty = Some(Planes::new(size[0], size[1], request.aovs)?);
+            return Ok(());
+        }
+        let entry_point = if request.aovs { EntryPoint::RenderAovs } else { EntryPoint::Render };
+        let (pipeline, is_new) = pipelines.pipeline(context, entry_point, request.needs)?;
+        self.empty = None;
+        let last = self.frame.take().filter(|frame| frame.serves(size, request.aovs));
+        let frame = context.scoped(frame::TRACING, || {
+            let frame = last.unwrap_or_else(|| Frame::new(context, frame_layout, size, request.aovs));
+            frame.trace(context, &pipeline, is_new, scene, timer.as_ref(), &request.params)?;
+            Ok(frame)
+        })?;
+        self.frame = Some(frame);
+        Ok(())
+    }
+
+    fn texture(&self) -> Option<&wgpu::Texture> {
+        Some(self.frame.as_ref()?.color())
+    }
+
+    fn trace_time(&self) -> Option<Duration> {
+        self.frame.as_ref()?;
+        self.timer.as_ref()?.read(&self.context).ok()
+    }
+
+    fn read(&self) -> Result<Image> {
+        match (&self.frame, &self.empty) {
+            (Some(frame), _) => Ok(frame.read(&self.context)?.into_image()),
+            (None, Some(empty)) => Ok(empty.clone().into_image()),
+            (None, None) => Err(Error::Gpu { during: frame::READING, message: "the last one failed".into() }),
+        }
+    }
+
+    fn closest_hits(&mut self, _: &DeviceArrays, rays: &[Ray], ray_mask: u32) -> Result<Vec<Hit>> {
+        self.answers(EntryPoint::ClosestHits, rays, ray_mask)
+    }
+
+    fn any_hits(&mut self, _: &DeviceArrays, rays: &[Ray], ray_mask: u32) -> Result<Vec<bool>> {
+        let answers: Vec<u32> = self.answers(EntryPoint::AnyHits, rays, ray_mask)?;
+        Ok(answers.into_iter().map(|answer| answer != 0).collect())
+    }
+}
+
+fn not_uploaded() -> Error {
+    Error::Gpu { during: "tracing", message: "no scene was uploaded".into() }
+}

@@ -1,0 +1,132 @@
+//! Which devices are taken, and what is said of those that are not.
+
+use ropewalk::Error;
+use ropewalk::trace::Tracer as _;
+use ropewalk::trace::gpu::{Adapters, GpuOptions, GpuTracer, required_limits, wanted_features};
+
+use crate::soup::{Random, rays, soup};
+use crate::support::{tracer, usable};
+
+#[test]
+fn an_adapter_serves() {
+    let Some(tracer) = tracer() else { return };
+    println!("{}", tracer.device().name);
+    assert_eq!(tracer.device().executor, "gpu");
+}
+
+#[test]
+fn no_adapter_is_an_error() {
+    let options = GpuOptions { adapters: Adapters::Any, backends: wgpu::Backends::empty() };
+    let error = GpuTracer::new(&options).unwrap_err();
+    assert!(matches!(&error, Error::NoGpu { reason } if reason.contains("no driver")), "{error}");
+}
+
+#[test]
+fn software_adapters_are_refused_by_name_unless_any_will_do() {
+    let Some(tracer) = tracer() else { return };
+    if tracer.wgpu_device().adapter_info().device_type != wgpu::DeviceType::Cpu {
+        println!("nothing to refuse: {} is hardware", tracer.device().name);
+        return;
+    }
+    let error = GpuTracer::new(&GpuOptions::default()).unwrap_err();
+    let Error::NoGpu { reason } = &error else { panic!("{error}") };
+    let name = tracer.wgpu_device().adapter_info().name;
+    assert!(reason.contains(&name) && reason.contains("software renderer"), "{reason}");
+}
+
+#[test]
+fn the_application_can_bring_its_own_device() {
+    let Some((adapter, _)) = adapter() else { return };
+    let (device, queue) = device(&adapter, required_limits(&adapter), wanted_features(&adapter));
+    let mut tracer = GpuTracer::from_device(device.clone(), queue).unwrap();
+    assert_eq!(tracer.wgpu_device(), &device);
+    let mut random = Random::new(1);
+    let mut arrays = soup(3, &mut random);
+    tracer.upload(&mut arrays).unwrap();
+    assert_eq!(tracer.closest_hits(&arrays, &rays(100, &mut random), u32::MAX).unwrap().len(), 100);
+}
+
+#[test]
+fn a_device_with_too_low_limits_is_refused_by_the_limit() {
+    let Some((adapter, _)) = adapter() else { return };
+    let (device, queue) = device(&adapter, wgpu::Limits::downlevel_defaults(), wgpu::Features::empty());
+    let error = GpuTracer::from_device(device, queue).unwrap_err();
+    let Error::Limit { what, needed, limit, .. } = error else { panic!("{error}") };
+    assert_eq!((what, needed, limit), ("the kernel (storage buffers a shader stage)", 15, 4));
+}
+
+#[test]
+fn works_without_optional_features() {
+    let Some((adapter, _)) = adapter() else { return };
+    let (device, queue) = device(&adapter, required_limits(&adapter), wgpu::Features::empty());
+    let mut tracer = GpuTracer::from_device(device, queue).unwrap();
+    let mut arrays = soup(1, &mut Random::new(2));
+    tracer.upload(&mut arrays).unwrap();
+    tracer.render(&arrays, &crate::frame::request(8, 8, false)).unwrap();
+    assert_eq!(tracer.trace_time(), None);
+    assert_eq!(tracer.read().unwrap().color.len(), 64);
+}
+
+#[test]
+fn a_lost_device_is_an_error_from_every_call() {
+    let Some(tracer) = tracer() else { return };
+    lose(tracer);
+}
+
+#[test]
+fn a_lost_device_of_the_application_is_too() {
+    let Some((adapter, _)) = adapter() else { return };
+    let (device, queue) = device(&adapter, required_limits(&adapter), wanted_features(&adapter));
+    lose(GpuTracer::from_device(device, queue).unwrap());
+}
+
+fn lose(mut tracer: GpuTracer) {
+    let mut random = Random::new(3);
+    let mut arrays = soup(2, &mut random);
+    let request = crate::frame::request(8, 8, true);
+    tracer.upload(&mut arrays).unwrap();
+    tracer.render(&arrays, &request).unwrap();
+    tracer.wgpu_device().destroy();
+    let rays = rays(10, &mut random);
+    arrays.instances.write(0, &[arrays.instances[1]]);
+    let outcomes = [
+        tracer.read().err(),
+        tracer.render(&arrays, &request).err(),
+        tracer.read().err(),
+        tracer.closest_hits(&arrays, &rays, 1).err(),
+        tracer.any_hits(&arrays, &rays, 1).err(),
+        tracer.upload(&mut arrays).err(),
+    ];
+    for (call, outcome) in outcomes.iter().enumerate() {
+        assert!(matches!(outcome, Some(Error::Gpu { .. })), "call {call}: {outcome:?}");
+    }
+    assert_eq!(tracer.trace_time(), None);
+}
+
+/// An adapter that a tracer can be made for, and that tracer.
+pub(crate) fn adapter() -> Option<(wgpu::Adapter, GpuTracer)> {
+    let tracer = tracer()?;
+    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env());
+    let adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()));
+    let wanted = tracer.wgpu_device().adapter_info();
+    let found = adapters.into_iter().find(|adapter| adapter.get_info() == wanted);
+    found.map(|adapter| (adapter, tracer))
+}
+
+pub(crate) fn device(
+    adapter: &wgpu::Adapter,
+    required_limits: wgpu::Limits,
+    required_features: wgpu::Features,
+) -> (wgpu::Device, wgpu::Queue) {
+    let descriptor = wgpu::DeviceDescriptor { required_limits, required_features, ..Default::default() };
+    pollster::block_on(adapter.request_device(&descriptor)).unwrap()
+}
+
+/// A tracer on a device whose limits were changed by `change`.
+pub(crate) fn limited(change: impl FnOnce(&mut wgpu::Limits)) -> Option<GpuTracer> {
+    let (adapter, _) = adapter()?;
+    let mut limits = required_limits(&adapter);
+    change(&mut limits);
+    let (device, queue) = device(&adapter, limits, wgpu::Features::empty());
+    usable(GpuTracer::from_device(device, queue))
+}

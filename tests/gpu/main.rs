@@ -1,0 +1,12 @@
+//! The GPU executor on whatever adapter there is.
+#![cfg(feature = "gpu")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
+#![allow(unreachable_pub, reason = "support modules serve several tests")]
+
+mod agreement;
+mod device;
+mod frame;
+mod soup;
+#[path = "../support/gpu.rs"]
+mod support;
+mod upload;

@@ -1,0 +1,164 @@
+//! Device arrays made by hand: instances of a few triangles each, a hierarchy of one leaf over either.
+
+use bytemuck::Zeroable;
+use ropewalk::device::DeviceArrays;
+use ropewalk::device::layout::{FrameParams, Instance, Material, NONE, Node, PrimitiveRange, Ray, Streams, Triangle};
+
+/// A small generator of the same numbers everywhere (PCG).
+pub(crate) struct Random(u64);
+
+impl Random {
+    pub(crate) fn new(seed: u64) -> Self {
+        Self(seed.wrapping_mul(2).wrapping_add(1))
+    }
+
+    /// Between 0 and 1.
+    pub(crate) fn unit(&mut self) -> f32 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        let word = (((self.0 >> 18) ^ self.0) >> 27) as u32;
+        (word.rotate_right((self.0 >> 59) as u32) >> 8) as f32 / (1 << 24) as f32
+    }
+
+    /// Each coordinate between -1 and 1.
+    pub(crate) fn point(&mut self) -> [f32; 3] {
+        [0; 3].map(|_| self.unit() * 2.0 - 1.0)
+    }
+}
+
+/// Triangles of an instance, all in one leaf.
+pub(crate) const TRIANGLES_A_LEAF: usize = 4;
+
+/// Half the side of the cube that an instance's triangles lie in, in the world.
+const SCALE: f32 = 0.2;
+
+/// The same in local space, and a little more.
+const PADDED: f32 = 1.01;
+
+/// A geometry that has nothing but its triangles.
+const NO_STREAMS: Streams = Streams {
+    first_index: NONE,
+    first_normal: NONE,
+    first_tex_coord_0: NONE,
+    first_tex_coord_1: NONE,
+    first_color: NONE,
+    _pad: [0; 3],
+};
+
+/// What all instances are made of.
+const GREY: Material = Material {
+    base_color: [0.5, 0.5, 0.5, 1.0],
+    emissive: [0.1, 0.0, 0.0],
+    metallic: 0.0,
+    roughness: 1.0,
+    transmission: 0.0,
+    ior: 1.5,
+    alpha_cutoff: 0.5,
+    flags: 0,
+    base_color_texture: NONE,
+    metallic_roughness_texture: NONE,
+    emissive_texture: NONE,
+    transmission_texture: NONE,
+    normal_texture: NONE,
+    normal_scale: 1.0,
+    _pad: 0,
+};
+
+/// `instances` moved copies of four random triangles, each with its own four.
+pub(crate) fn soup(instances: usize, random: &mut Random) -> DeviceArrays {
+    let mut arrays = DeviceArrays::default();
+    for i in 0..instances {
+        set_instance(&mut arrays, i, random);
+    }
+    link(&mut arrays);
+    arrays
+}
+
+/// Gives instance `i` new triangles and a new place.
+pub(crate) fn set_instance(arrays: &mut DeviceArrays, i: usize, random: &mut Random) {
+    let (center, scale) = (random.point(), SCALE);
+    let local_from_world = [0, 1, 2].map(|row| {
+        let mut values = [0.0, 0.0, 0.0, -center[row] / scale];
+        values[row] = 1.0 / scale;
+        values
+    });
+    let world_from_local = [0, 1, 2].map(|row| {
+        let mut values = [0.0, 0.0, 0.0, center[row]];
+        values[row] = scale;
+        values
+    });
+    let instance = Instance {
+        local_from_world,
+        world_from_local,
+        first_node: i as u32,
+        first_triangle: (i * TRIANGLES_A_LEAF) as u32,
+        geometry: 0,
+        material: 0,
+        mask: 1 + (i as u32 % 2),
+        flags: 0,
+        node: [i as u32, 1],
+    };
+    let triangles = [0; TRIANGLES_A_LEAF].map(|_| random_triangle(random));
+    let triangles: Vec<_> = (0..).zip(triangles).map(|(primitive, t)| Triangle { primitive, ..t }).collect();
+    let leaf = Node {
+        min: [-PADDED; 3],
+        escape_index: NONE,
+        max: [PADDED; 3],
+        primitives: PrimitiveRange::leaf(0, TRIANGLES_A_LEAF as u32),
+    };
+    arrays.instances.write(i, &[instance]);
+    arrays.triangles.write(i * TRIANGLES_A_LEAF, &triangles);
+    arrays.blas_nodes.write(i, &[leaf]);
+    arrays.geometries.write(0, &[NO_STREAMS]);
+    arrays.materials.write(0, &[GREY]);
+}
+
+/// Makes the top level: a leaf for each instance, one after the other.
+pub(crate) fn link(arrays: &mut DeviceArrays) {
+    let count = arrays.instances.len();
+    let leaves: Vec<Node> = (0..count)
+        .map(|i| {
+            let center = arrays.instances[i].world_from_local.map(|row| row[3]);
+            Node {
+                min: center.map(|x| x - SCALE * PADDED),
+                escape_index: if i + 1 == count { NONE } else { i as u32 + 1 },
+                max: center.map(|x| x + SCALE * PADDED),
+                primitives: PrimitiveRange::leaf(i as u32, 1),
+            }
+        })
+        .collect();
+    arrays.tlas_nodes.replace(&leaves);
+}
+
+/// Rays from a sphere around the soup to points in it.
+pub(crate) fn rays(count: usize, random: &mut Random) -> Vec<Ray> {
+    let mut ray = || {
+        let (from, to) = (random.point().map(|x| x * 3.0), random.point());
+        let direction = [0, 1, 2].map(|i| to[i] - from[i]);
+        Ray { origin: from, t_min: 0.0, direction, t_max: f32::MAX }
+    };
+    (0..count).map(|_| ray()).collect()
+}
+
+/// A camera that sees all of the soup, before a blue sky.
+pub(crate) fn params(width: u32, height: u32) -> FrameParams {
+    FrameParams {
+        eye: [0.0, 0.0, 4.0],
+        width,
+        right: [0.45 * width as f32 / height.max(1) as f32, 0.0, 0.0],
+        height,
+        up: [0.0, 0.45, 0.0],
+        max_depth: 3,
+        forward: [0.0, 0.0, -1.0],
+        ray_mask: u32::MAX,
+        sky_up: [0.0, 1.0, 0.0],
+        sky_zenith: [0.2, 0.4, 1.0],
+        sky_horizon: [0.8, 0.9, 1.0],
+        sky_ground: [0.3, 0.2, 0.1],
+        ..FrameParams::zeroed()
+    }
+}
+
+fn random_triangle(random: &mut Random) -> Triangle {
+    let [v0, v1, v2] = [random.point(), random.point(), random.point()];
+    Triangle { v0, primitive: 0, v1, _pad0: 0, v2, _pad1: 0 }
+}
