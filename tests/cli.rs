@@ -284,7 +284,7 @@ fn bad_arguments_are_refused_in_one_line() {
         (&["--frames", "many"], &["--frames", "many"]),
         (&["-o", "out.jpg"], &["out.jpg", ".png", ".exr"]),
         (&["-o", "no/such/folder/out.png"], &["no/such/folder"]),
-        (&["--size", "8x8", "-o", "folder.png"], &["folder.png"]),
+        (&["--device", "cpu", "--size", "8x8", "-o", "folder.png"], &["folder.png"]),
         (&["--camera", "middle"], &["middle", "camera"]),
         (&["--camera", "1"], &["\"1\"", "camera"]),
         (&["two.gltf", "--camera", "middle"], &["middle", "\"left\"", "\"right\""]),
@@ -292,7 +292,7 @@ fn bad_arguments_are_refused_in_one_line() {
         (&["two.gltf", "--scene", "nothing", "--camera", "0"], &["\"0\"", "none"]),
         (&["two.gltf", "--scene", "2"], &["two.gltf", "2"]),
         (&["two.gltf", "--scene", "blue"], &["two.gltf", "blue"]),
-        (&["--scene", "red"], &["--scene"]),
+        (&["--scene", "red"], &["--scene", "no file"]),
         (&["two.gltf", "three.gltf"], &["three.gltf"]),
         (&["--spp"], &["--spp"]),
     ] {
