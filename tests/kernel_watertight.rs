@@ -5,8 +5,7 @@
 mod kernel_support;
 
 use glam::{DAffine3, DQuat, DVec3, Vec3};
-use kernel_support::{Mesh, Placed, Random, arrays, tracers};
-use ropewalk::device::DeviceArrays;
+use kernel_support::{Builder, Mesh, Placed, Random, arrays_by, tracers};
 use ropewalk::device::layout::{NONE, Ray};
 use ropewalk::trace::{Cpu, Emulated, Tracer};
 
@@ -34,8 +33,8 @@ fn ray_from_inside(random: &mut Random, mesh: &Mesh, radius: f32) -> (Vec3, Vec3
 }
 
 /// Traces `RAYS / 2` rays from inside a closed mesh, and panics if any gets out.
-fn none_escapes(tracer: &mut dyn Tracer, mesh: &Mesh, radius: f32, world_from_local: DAffine3) {
-    let mut arrays = arrays(std::slice::from_ref(mesh), &[Placed::new(0, world_from_local)]);
+fn none_escapes(tracer: &mut dyn Tracer, builder: Builder, mesh: &Mesh, radius: f32, world_from_local: DAffine3) {
+    let mut arrays = arrays_by(builder, std::slice::from_ref(mesh), &[Placed::new(0, world_from_local)]);
     tracer.upload(&mut arrays).unwrap();
     let mut random = Random(radius.to_bits().into());
     let world = world_from_local.as_affine3a();
@@ -58,15 +57,12 @@ fn none_escapes(tracer: &mut dyn Tracer, mesh: &Mesh, radius: f32, world_from_lo
 fn no_ray_escapes_closed_meshes(tracer: &mut dyn Tracer) {
     for mesh in [Mesh::icosphere(6), Mesh::displaced_icosphere(6)] {
         for scale in [1e-6, 1.0, 1e6] {
-            none_escapes(tracer, &mesh.clone().scaled(scale), scale, DAffine3::IDENTITY);
+            none_escapes(tracer, Builder::Product, &mesh.clone().scaled(scale), scale, DAffine3::IDENTITY);
             let rotation = DQuat::from_axis_angle(DVec3::new(0.6, 0.0, 0.8), 1.0);
             let size = DVec3::splat(scale.into());
-            none_escapes(
-                tracer,
-                &mesh,
-                1.0,
-                DAffine3::from_scale_rotation_translation(size, rotation, size * DVec3::new(0.3, -2.0, 1.0)),
-            );
+            let translation = size * DVec3::new(0.3, -2.0, 1.0);
+            let world_from_local = DAffine3::from_scale_rotation_translation(size, rotation, translation);
+            none_escapes(tracer, Builder::Median, &mesh, 1.0, world_from_local);
         }
     }
 }
@@ -89,17 +85,20 @@ fn no_ray_escapes_closed_meshes_gpu() {
     }
 }
 
-/// Traces rays that must all hit at a t that `is_right` accepts.
-fn all_hit(arrays: &mut DeviceArrays, rays: &[Ray], is_right: impl Fn(f32) -> bool) {
+/// Traces rays that must all hit the mesh, at a t that `is_right` accepts.
+fn all_hit(mesh: &Mesh, rays: &[Ray], is_right: impl Fn(f32) -> bool) {
     assert!(!rays.is_empty());
-    for tracer in &mut tracers() {
-        tracer.upload(arrays).unwrap();
-        let hits = tracer.closest_hits(arrays, rays, 1).unwrap();
-        let blocked = tracer.any_hits(arrays, rays, 1).unwrap();
-        for ((ray, hit), blocked) in rays.iter().zip(&hits).zip(blocked) {
-            let device = tracer.device().executor;
-            assert!(hit.instance != NONE && is_right(hit.t), "{device}: {ray:?} hits {hit:?}");
-            assert!(blocked, "{device}: {ray:?} meets nothing");
+    for builder in Builder::BOTH {
+        let mut arrays = arrays_by(builder, std::slice::from_ref(mesh), &[Placed::new(0, DAffine3::IDENTITY)]);
+        for tracer in &mut tracers() {
+            tracer.upload(&mut arrays).unwrap();
+            let hits = tracer.closest_hits(&arrays, rays, 1).unwrap();
+            let blocked = tracer.any_hits(&arrays, rays, 1).unwrap();
+            for ((ray, hit), blocked) in rays.iter().zip(&hits).zip(blocked) {
+                let device = tracer.device().executor;
+                assert!(hit.instance != NONE && is_right(hit.t), "{device}, {builder:?}: {ray:?} hits {hit:?}");
+                assert!(blocked, "{device}, {builder:?}: {ray:?} meets nothing");
+            }
         }
     }
 }
@@ -123,7 +122,6 @@ const CUBE_SIZES: [f32; 5] = [1e-20, 1e-3, 1.0, 3e4, 1e20];
 #[test]
 fn rays_along_an_axis_hit_a_box_whose_face_plane_they_lie_in() {
     for size in CUBE_SIZES {
-        let mut arrays = arrays(&[Mesh::cube().scaled(size)], &[Placed::new(0, DAffine3::IDENTITY)]);
         let mut rays = Vec::new();
         for (axis, direction) in axis_directions() {
             for (u, v) in [(1.0, 0.25), (-1.0, 0.5), (0.0, 1.0), (-0.0, -1.0), (1.0, -1.0), (0.25, 0.5), (0.0, -0.0)] {
@@ -133,14 +131,13 @@ fn rays_along_an_axis_hit_a_box_whose_face_plane_they_lie_in() {
                 rays.push(ray(origin * size, direction * size));
             }
         }
-        all_hit(&mut arrays, &rays, |t| (t - 2.0).abs() < 4.0 * f32::EPSILON);
+        all_hit(&Mesh::cube().scaled(size), &rays, |t| (t - 2.0).abs() < 4.0 * f32::EPSILON);
     }
 }
 
 #[test]
 fn rays_that_start_on_a_box_face_hit_the_box() {
     for size in CUBE_SIZES {
-        let mut arrays = arrays(&[Mesh::cube().scaled(size)], &[Placed::new(0, DAffine3::IDENTITY)]);
         let mut rays = Vec::new();
         for (axis, direction) in axis_directions() {
             for face in [1.0, -1.0] {
@@ -154,7 +151,7 @@ fn rays_that_start_on_a_box_face_hit_the_box() {
                 rays.push(ray(origin * size, direction * size));
             }
         }
-        all_hit(&mut arrays, &rays, |t| t == 0.0 || (t - 1.0).abs() < 2.0 * f32::EPSILON);
+        all_hit(&Mesh::cube().scaled(size), &rays, |t| t == 0.0 || (t - 1.0).abs() < 2.0 * f32::EPSILON);
     }
 }
 
@@ -172,7 +169,6 @@ fn rays_through_the_grid_lines_of_a_flat_mesh_hit_it() {
         let cells = (0..SIDE - 1).flat_map(|y| (0..SIDE - 1).map(move |x| y * SIDE + x));
         let indices = cells.flat_map(|i| [[i, i + 1, i + SIDE], [i + 1, i + SIDE + 1, i + SIDE]]).collect();
         let mesh = Mesh { positions: (0..SIDE * SIDE).map(corner).collect(), indices };
-        let mut arrays = arrays(&[mesh], &[Placed::new(0, DAffine3::IDENTITY)]);
 
         let last = 2 * (SIDE - 1);
         let halves = (0..=last).flat_map(|y| (0..=last).map(move |x| (x as f32 * 0.5, y as f32 * 0.5)));
@@ -184,6 +180,6 @@ fn rays_through_the_grid_lines_of_a_flat_mesh_hit_it() {
                 [down, up, slanted]
             })
             .collect();
-        all_hit(&mut arrays, &rays, |t| (t - 4.0).abs() < 8.0 * f32::EPSILON);
+        all_hit(&mesh, &rays, |t| (t - 4.0).abs() < 8.0 * f32::EPSILON);
     }
 }

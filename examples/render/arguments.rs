@@ -9,45 +9,45 @@ use ropewalk::{DeviceChoice, View};
 /// Renders a glTF file, or without one a scene made in code, to an image.
 #[derive(Debug, Parser)]
 #[command(name = "render", version, about)]
-pub struct Arguments {
+pub(crate) struct Arguments {
     /// A .gltf or .glb file; without one, a scene made in code is rendered
-    pub file: Option<PathBuf>,
+    pub(crate) file: Option<PathBuf>,
     /// The image to write: .png (8 bit, sRGB) or .exr (32 bit float, linear)
     #[arg(short, long, value_name = "FILE", default_value = "out.png", value_parser = parse_output)]
-    pub output: PathBuf,
+    pub(crate) output: PathBuf,
     /// Pixels of the image
     #[arg(long, value_name = "WxH", default_value = "960x600", value_parser = parse_size)]
-    pub size: (u32, u32),
+    pub(crate) size: (u32, u32),
     /// Rays along each side of a pixel, averaged: 1 is fastest, 2 or more smooths edges
     #[arg(long, value_name = "N", default_value = "2", value_parser = clap::value_parser!(u32).range(1..=16))]
-    pub samples: u32,
+    pub(crate) samples: u32,
     /// What traces the rays; auto is a GPU if there is one, else the CPU
     #[arg(long, value_enum, default_value_t)]
-    pub device: Device,
+    pub(crate) device: Device,
     /// Reflections and refractions that a ray may have
     #[arg(long, value_name = "N", default_value = "3",
           value_parser = clap::value_parser!(u32).range(0..=i64::from(View::MAX_DEPTH)))]
-    pub depth: u32,
+    pub(crate) depth: u32,
     /// The camera to look through, by name or number (default: the first; without one, the whole scene is framed)
     #[arg(long, value_name = "NAME|INDEX")]
-    pub camera: Option<String>,
+    pub(crate) camera: Option<String>,
     /// The scene of the file, by name or number (default: the file's own default)
     #[arg(long, value_name = "NAME|INDEX", requires = "file")]
-    pub scene: Option<String>,
+    pub(crate) scene: Option<String>,
     /// Turntable: write N numbered images from all around
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
-    pub frames: Option<u32>,
+    pub(crate) frames: Option<u32>,
     /// Print what was done and how long it took
     #[arg(long)]
-    pub stats: bool,
+    pub(crate) stats: bool,
     /// Print the same as JSON, and nothing else, to standard output
     #[arg(long)]
-    pub json: bool,
+    pub(crate) json: bool,
 }
 
 /// `--device`
 #[derive(Clone, Copy, Debug, Default, ValueEnum)]
-pub enum Device {
+pub(crate) enum Device {
     #[default]
     Auto,
     Gpu,
@@ -68,12 +68,11 @@ impl From<Device> for DeviceChoice {
 
 impl Arguments {
     /// What the user typed, or one line that says what is wrong with it. Prints help and version itself and returns `None`.
-    pub fn from_command_line() -> Result<Option<Self>, String> {
+    pub(crate) fn from_command_line() -> Result<Option<Self>, String> {
         let arguments = match Self::try_parse() {
             Ok(arguments) => arguments,
             Err(error) if matches!(error.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion) => {
-                print!("{error}");
-                return Ok(None);
+                return error.print().map(|()| None).map_err(|error| format!("standard output: {error}"));
             }
             Err(error) => return Err(one_line(&error)),
         };
@@ -82,12 +81,12 @@ impl Arguments {
     }
 
     /// The size that is traced: that of the image times the samples.
-    pub fn traced_size(&self) -> (u32, u32) {
+    pub(crate) fn traced_size(&self) -> (u32, u32) {
         (self.size.0 * self.samples, self.size.1 * self.samples)
     }
 
     /// The file of a turntable's frame, counted from 1; `output` itself where there is no turntable.
-    pub fn output_of(&self, frame: u32) -> PathBuf {
+    pub(crate) fn output_of(&self, frame: u32) -> PathBuf {
         let Some(frames) = self.frames else { return self.output.clone() };
         let digits = frames.to_string().len();
         let part = |part: Option<&std::ffi::OsStr>| part.unwrap_or_default().to_string_lossy().into_owned();

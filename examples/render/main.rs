@@ -9,6 +9,7 @@ mod progress;
 mod report;
 mod subject;
 
+use std::io::Write as _;
 use std::process::ExitCode;
 use std::time::Instant;
 
@@ -33,8 +34,12 @@ fn main() -> ExitCode {
 
 /// An error is one line, whatever a driver or a file name puts into it.
 fn fail(message: &str) -> ExitCode {
-    eprintln!("error: {}", message.lines().map(str::trim).collect::<Vec<_>>().join(" "));
+    eprintln!("error: {}", one_line(message));
     ExitCode::from(2)
+}
+
+fn one_line(text: &str) -> String {
+    text.lines().map(str::trim).collect::<Vec<_>>().join(" ")
 }
 
 fn run(arguments: &Arguments) -> Result<(), String> {
@@ -48,11 +53,13 @@ fn run(arguments: &Arguments) -> Result<(), String> {
     let options = RendererOptions { device: arguments.device.into() };
     let mut renderer = Renderer::new(&options).map_err(|error| error.to_string())?;
     if let Some(reason) = renderer.fallback() {
-        eprintln!("rendering on the CPU: {}", reason.lines().collect::<Vec<_>>().join(" "));
+        eprintln!("rendering on the CPU: {}", one_line(reason));
     }
 
     let mut report = Report {
         file: arguments.file.clone(),
+        import: subject.import.as_ref().map(|import| import.counts),
+        not_honoured: subject.import.as_ref().map(|import| import.not_honoured.clone()).unwrap_or_default(),
         fallback: renderer.fallback().map(str::to_owned),
         load_time,
         nodes: subject.scene.node_count(),
@@ -93,19 +100,24 @@ fn render(
     Ok(FrameEntry { output, report: rendered.report().clone(), read_time, save_time: save_start.elapsed() })
 }
 
-/// Says on standard output what was done, as the arguments ask.
+/// Says what was done, as the arguments ask.
 fn tell(arguments: &Arguments, report: &Report) -> Result<(), String> {
     if arguments.json {
-        println!("{}", report.to_json().map_err(|error| error.to_string())?);
-        return Ok(());
+        return say(&report.to_json().map_err(|error| error.to_string())?);
     }
     if arguments.stats {
-        println!("{}", report.to_tables());
+        say(&report.to_tables())?;
+    } else if !report.not_honoured.is_empty() {
+        eprintln!("not all of the file was honoured: {} (--stats tells all)", report.not_honoured.len());
     }
     match report.frames.as_slice() {
-        [first, .., last] => println!("wrote {} to {}", first.output.display(), last.output.display()),
-        [only] => println!("wrote {}", only.output.display()),
-        [] => {}
+        [first, .., last] => say(&format!("wrote {} to {}", first.output.display(), last.output.display())),
+        [only] => say(&format!("wrote {}", only.output.display())),
+        [] => Ok(()),
     }
-    Ok(())
+}
+
+/// A line on standard output. `println!` would panic where nobody reads it any more.
+fn say(line: &str) -> Result<(), String> {
+    writeln!(std::io::stdout(), "{line}").map_err(|error| format!("standard output: {error}"))
 }

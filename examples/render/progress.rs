@@ -7,7 +7,7 @@ use std::time::Duration;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 /// A bar that appears once the work has taken half a second, and vanishes when dropped. Shown on terminals only.
-pub struct Progress {
+pub(crate) struct Progress {
     bar: ProgressBar,
     done: Option<mpsc::Sender<()>>,
     watcher: Option<JoinHandle<()>>,
@@ -15,17 +15,17 @@ pub struct Progress {
 
 impl Progress {
     /// Shows a spinner: how much there is to do is not known.
-    pub fn spinner(what: &'static str) -> Self {
+    pub(crate) fn spinner(what: &'static str) -> Self {
         Self::new(ProgressBar::no_length(), what, "{spinner} {msg} {elapsed}")
     }
 
     /// Shows how many of `steps` are done.
-    pub fn steps(what: &'static str, steps: u32) -> Self {
+    pub(crate) fn steps(what: &'static str, steps: u32) -> Self {
         Self::new(ProgressBar::new(steps.into()), what, "{spinner} {msg} {wide_bar} {pos}/{len} {eta}")
     }
 
     /// One step is done.
-    pub fn advance(&self) {
+    pub(crate) fn advance(&self) {
         self.bar.inc(1);
     }
 

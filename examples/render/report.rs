@@ -6,50 +6,60 @@ use std::time::Duration;
 use comfy_table::Table;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use ropewalk::FrameReport;
+use ropewalk::gltf::{ImportCounts, NotHonoured};
 use serde::{Serialize, Serializer};
 
 /// One run of the program. Times are in seconds.
 #[derive(Serialize)]
-pub struct Report {
+pub(crate) struct Report {
     /// The file rendered; none for the built-in scene.
-    pub file: Option<PathBuf>,
+    pub(crate) file: Option<PathBuf>,
+    /// What the file gave.
+    pub(crate) import: Option<ImportCounts>,
+    /// What of the file was not honoured, or not to the letter.
+    pub(crate) not_honoured: Vec<NotHonoured>,
     /// Why the GPU was not used, where it was wanted.
-    pub fallback: Option<String>,
+    pub(crate) fallback: Option<String>,
     /// To read the file or make the scene.
     #[serde(serialize_with = "seconds")]
-    pub load_time: Duration,
-    pub nodes: usize,
-    pub geometries: usize,
+    pub(crate) load_time: Duration,
+    pub(crate) nodes: usize,
+    pub(crate) geometries: usize,
     /// Pixels of each image.
-    pub size: (u32, u32),
+    pub(crate) size: (u32, u32),
     /// Rays along each side of a pixel.
-    pub samples: u32,
-    pub frames: Vec<FrameEntry>,
+    pub(crate) samples: u32,
+    pub(crate) frames: Vec<FrameEntry>,
 }
 
 /// One image.
 #[derive(Serialize)]
-pub struct FrameEntry {
-    pub output: PathBuf,
+pub(crate) struct FrameEntry {
+    pub(crate) output: PathBuf,
     #[serde(flatten)]
-    pub report: FrameReport,
+    pub(crate) report: FrameReport,
     /// From the end of the call that renders it until the frame was in main memory.
     #[serde(serialize_with = "seconds")]
-    pub read_time: Duration,
+    pub(crate) read_time: Duration,
     /// To average the samples and to write the file.
     #[serde(serialize_with = "seconds")]
-    pub save_time: Duration,
+    pub(crate) save_time: Duration,
 }
 
 impl Report {
-    /// Two tables: the scene, and the time of each phase in the first frame and in those after it.
-    pub fn to_tables(&self) -> String {
+    /// Two tables, the scene, and the time of each phase in the first frame and in those after it; below them what of the
+    /// file was not honoured.
+    pub(crate) fn to_tables(&self) -> String {
         let Some((first, later)) = self.frames.split_first() else { return String::new() };
-        format!("{}\n{}", self.scene_table(&first.report), phase_table(first, later))
+        let mut text = format!("{}\n{}", self.scene_table(&first.report), phase_table(first, later));
+        for what in &self.not_honoured {
+            text += &format!("\nnot honoured: {what}");
+        }
+        text
     }
 
     /// All of it.
-    pub fn to_json(&self) -> Result<String, serde_json::Error> {
+    pub(crate) fn to_json(&self) -> Result<String, serde_json::Error> {
         serde_json::to_string_pretty(self)
     }
 
@@ -59,7 +69,7 @@ impl Report {
         let rays = u64::from(self.size.0) * u64::from(self.size.1) * u64::from(self.samples * self.samples);
 
         let mut table = Table::new();
-        table.load_preset(UTF8_FULL_CONDENSED);
+        table.load_style(UTF8_FULL_CONDENSED);
         table.set_header(["scene", &self.file.as_ref().map_or("built-in".into(), |file| file.display().to_string())]);
         table.add_rows([
             ["device", &format!("{} ({})", first.device.executor, first.device.name)],
@@ -94,7 +104,7 @@ fn phase_table(first: &FrameEntry, later: &[FrameEntry]) -> Table {
     ];
 
     let mut table = Table::new();
-    table.load_preset(UTF8_FULL_CONDENSED);
+    table.load_style(UTF8_FULL_CONDENSED);
     let mut header = vec!["phase".to_owned(), "first frame".to_owned(), "what was done".to_owned()];
     if !later.is_empty() {
         header.push(format!("mean of {} later", later.len()));

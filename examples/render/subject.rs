@@ -1,14 +1,19 @@
 //! What is rendered: the scene, and the cameras to see it through.
 
+use std::path::Path;
+
 use glam::{DAffine3, DMat3, DQuat, DVec3, Vec3};
-use ropewalk::{Camera, Core, Light, LightKind, NodeKey, Scene, Sky, Transform, View};
+use ropewalk::gltf::{self, ImportOptions, ImportReport, SceneChoice};
+use ropewalk::{Core, Light, LightKind, NodeKey, Scene, Sky, Transform, View};
 
 use crate::arguments::Arguments;
 use crate::builtin;
 
 /// A scene and how it is seen.
-pub struct Subject {
-    pub scene: Scene,
+pub(crate) struct Subject {
+    pub(crate) scene: Scene,
+    /// What the file gave; none for the built-in scene.
+    pub(crate) import: Option<ImportReport>,
     /// The first view; a turntable goes around from there.
     view: View,
     /// What a turntable turns about.
@@ -17,14 +22,14 @@ pub struct Subject {
 
 impl Subject {
     /// Loads or makes what the arguments ask for.
-    pub fn load(arguments: &Arguments) -> Result<Self, String> {
+    pub(crate) fn load(arguments: &Arguments) -> Result<Self, String> {
         let mut scene = Scene::new();
-        let sky = match &arguments.file {
+        let (import, sky) = match &arguments.file {
+            Some(file) => (Some(import(file, arguments, &mut scene)?), neutral_sky()),
             None => {
                 builtin::build(&mut scene).map_err(|error| format!("the built-in scene: {error}"))?;
-                builtin::sky()
+                (None, builtin::sky())
             }
-            Some(_file) => Sky::default(),
         };
 
         let mut view = first_view(&scene, arguments)?;
@@ -34,16 +39,26 @@ impl Subject {
 
         let bounds = scene.world_bounds(scene.root()).map_err(|error| error.to_string())?;
         let center = if bounds.is_empty() { DVec3::ZERO } else { bounds.center() };
-        Ok(Self { scene, view, center })
+        Ok(Self { scene, import, view, center })
     }
 
     /// The view of one of `frames` frames, counted from 0: the camera goes once around the middle of the scene.
-    pub fn view(&self, frame: u32, frames: u32) -> View {
+    pub(crate) fn view(&self, frame: u32, frames: u32) -> View {
         let angle = std::f64::consts::TAU * f64::from(frame) / f64::from(frames);
         let turned = DAffine3::from_mat3_translation(DMat3::from_quat(DQuat::from_rotation_y(angle)), self.center)
             * DAffine3::from_translation(-self.center);
         View { world_from_view: turned * self.view.world_from_view, ..self.view.clone() }
     }
+}
+
+fn import(file: &Path, arguments: &Arguments, scene: &mut Scene) -> Result<ImportReport, String> {
+    let choice = |wanted: &String| match wanted.parse() {
+        Ok(index) => SceneChoice::Index(index),
+        Err(_) => SceneChoice::Name(wanted.clone()),
+    };
+    let options = ImportOptions { scene: arguments.scene.as_ref().map(choice) };
+    let root = scene.root();
+    gltf::import_with(file, &options, scene, root).map_err(|error| error.to_string())
 }
 
 /// Through the camera asked for, else the first, else from where everything is seen.
@@ -63,9 +78,8 @@ fn first_view(scene: &Scene, arguments: &Arguments) -> Result<View, String> {
 
 fn choose_camera(scene: &Scene, cameras: &[NodeKey], wanted: &str) -> Result<NodeKey, String> {
     let names: Vec<&str> = cameras.iter().map(|&camera| camera_name(scene, camera)).collect();
-    let by_index = || wanted.parse::<usize>().ok().filter(|&index| index < cameras.len());
-    let index = names.iter().position(|name| *name == wanted).or_else(by_index);
-    index.map(|index| cameras[index]).ok_or_else(|| {
+    let index = wanted.parse().ok().or_else(|| names.iter().position(|name| *name == wanted));
+    index.and_then(|index: usize| cameras.get(index)).copied().ok_or_else(|| {
         let known = names.iter().enumerate().map(|(i, name)| format!("{i} {name:?}")).collect::<Vec<_>>();
         match known.as_slice() {
             [] => format!("there is no camera {wanted:?}: the scene has none"),
@@ -81,6 +95,12 @@ fn camera_name(scene: &Scene, camera: NodeKey) -> &str {
     if name.is_empty() { parent.and_then(|parent| scene.name(parent).ok()).unwrap_or_default() } else { name }
 }
 
+/// Grey, and so dark that a white surface below it and the key light is not yet white in the image.
+fn neutral_sky() -> Sky {
+    let [zenith, horizon, ground] = [0.42, 0.50, 0.16].map(Vec3::splat);
+    Sky { zenith, horizon, ground, up: Vec3::Y }
+}
+
 /// Where there is no light, adds one from above the left shoulder of the viewer.
 fn light_if_dark(scene: &mut Scene, view: &View) -> ropewalk::Result<()> {
     if !cores_of_kind(scene, |core| matches!(core, Core::Light(_))).is_empty() {
@@ -90,7 +110,7 @@ fn light_if_dark(scene: &mut Scene, view: &View) -> ropewalk::Result<()> {
     let pose = Transform::looking_at(from, DVec3::ZERO, DVec3::Y);
     let key_light = scene.add(scene.root(), pose)?;
     scene.set_name(key_light, "key light")?;
-    scene.add(key_light, Light { kind: LightKind::Directional, color: Vec3::ONE, intensity: 2.5, range: None })?;
+    scene.add(key_light, Light { kind: LightKind::Directional, color: Vec3::ONE, intensity: 1.8, range: None })?;
     Ok(())
 }
 

@@ -1,8 +1,10 @@
 // Ray against box and ray against triangle. Twin of src/trace/kernel/intersect.rs: the proofs are there.
 
-const BOX_SLACK: f32 = 0.99999618530273438; // 1 - 2^-18
-const CORNER_TOLERANCE: f32 = 2.384185791015625e-7; // 2^-22
-const EDGE_TOLERANCE: f32 = 4.76837158203125e-7; // 2^-21
+const BOX_SLACK: f32 = 1.0 - 0x1p-18;
+const LEAST_SHARE: f32 = 0x1p-64;
+const LEAST_COMPONENT: f32 = 0x1p-120;
+const CORNER_TOLERANCE: f32 = 0x1p-22;
+const EDGE_TOLERANCE: f32 = 0x1p-21;
 
 // A ray as boxes see it.
 struct SlabRay {
@@ -10,12 +12,13 @@ struct SlabRay {
     reciprocal: vec3<f32>,
 }
 
-// A ray as triangles see it: a shear that takes the ray to the z axis.
+// A ray as triangles see it: the rows of a shear that takes it to the z axis, and of what takes points to t.
 struct ShearRay {
     origin: vec3<f32>,
     x_row: vec3<f32>,
     y_row: vec3<f32>,
     t_row: vec3<f32>,
+    // From t to the unit of the sheared x and y.
     depth_scale: f32,
 }
 
@@ -38,7 +41,7 @@ fn max_component(v: vec3<f32>) -> f32 {
 }
 
 fn slab_ray(origin: vec3<f32>, direction: vec3<f32>) -> SlabRay {
-    let least = max(max_component(abs(direction)) * 5.421010862427522e-20, 7.52316384526264e-37); // 2^-64, 2^-120
+    let least = max(max_component(abs(direction)) * LEAST_SHARE, LEAST_COMPONENT);
     let bounded = max(abs(direction), vec3<f32>(least));
     return SlabRay(origin, select(1.0 / bounded, -1.0 / bounded, direction < vec3<f32>(0.0)));
 }

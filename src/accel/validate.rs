@@ -78,11 +78,19 @@ pub(super) fn check_nodes(
         }
         let (first, count) = (node.primitives.first(), node.primitives.count());
         let content = leaf_bounds(node.primitives).ok_or(StructureError::Leaf { node: index, first, count })?;
-        if !(bounds.min.cmplt(content.min) & bounds.max.cmpgt(content.max)).all() {
+        if !has_margin(&bounds, &content) {
             return Err(StructureError::Box { node: index, content: "its primitives with a margin" });
         }
     }
     Ok(())
+}
+
+/// Whether `content` lies strictly inside, or where no float is farther out.
+fn has_margin(bounds: &Aabb, content: &Aabb) -> bool {
+    let farthest = Vec3::splat(f32::MAX);
+    let min = bounds.min.cmplt(content.min) | content.min.cmpeq(-farthest);
+    let max = bounds.max.cmpgt(content.max) | content.max.cmpeq(farthest);
+    bounds.contains(content) && (min & max).all()
 }
 
 /// The index after the node's subtree: one further for a leaf, at least three further (two children) for an inner node, and

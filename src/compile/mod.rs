@@ -10,6 +10,6 @@ mod pack;
 mod report;
 
 pub use compiler::Compiler;
-pub use needs::Needs;
+pub use needs::{MAX_MIRROR_ROUGHNESS, Needs};
 pub(crate) use report::seconds;
 pub use report::{CompileReport, RebuildReason, TlasUpdate};

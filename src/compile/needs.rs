@@ -2,6 +2,9 @@
 
 use serde::Serialize;
 
+/// Perceptual roughness from which a reflection is too blurred to trace: the sky stands in for it.
+pub const MAX_MIRROR_ROUGHNESS: f32 = 0.5;
+
 bitflags::bitflags! {
     /// The parts of the kernel that a scene needs. A scene rendered with more gives the same image, slower.
     #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -16,7 +19,7 @@ bitflags::bitflags! {
         const ALPHA_MASK = 8;
         /// Some material blends by alpha: paths go on behind it.
         const BLEND = 16;
-        /// Some material reflects sharply enough to be seen in: paths are mirrored.
+        /// Some material reflects sharply enough to be seen in ([`MAX_MIRROR_ROUGHNESS`]): paths are mirrored.
         const REFLECTION = 32;
         /// Some material transmits: paths are refracted.
         const REFRACTION = 64;

@@ -4,13 +4,10 @@ use glam::{DAffine3, DVec3, Vec4};
 use slotmap::Key as _;
 
 use super::Needs;
+use super::needs::MAX_MIRROR_ROUGHNESS;
 use crate::device::layout::{self, Instance, InstanceFlags, MaterialFlags, TextureFlags, TextureInfo};
 use crate::graph::{AlphaMode, Filter, Light, LightKind, Material, NodeKey, Texture, TextureRef, Wrap};
 use crate::math::Aabb;
-
-/// Perceptual roughness from which a reflection is too blurred to trace: the sky stands in for it.
-/// Twin of `MAX_MIRROR_ROUGHNESS` in `shaders/shared/brdf.wgsl`.
-pub(super) const MAX_MIRROR_ROUGHNESS: f32 = 0.5;
 
 /// Where an instance is, for its device record.
 pub(super) struct Placement {

@@ -7,7 +7,8 @@ use super::{Core, Geometry, GeometryKey, Material, MaterialKey, Scene, Texture, 
 use crate::Result;
 use crate::math::{Aabb, Bounds};
 
-/// An asset with the number of its users: cores that refer to a geometry or a material, references in materials to a texture.
+/// An asset with the number of its users: cores that refer to a geometry or a material, references in materials to a
+/// texture.
 #[derive(Debug)]
 pub(super) struct Used<T> {
     pub(super) value: T,
@@ -98,8 +99,8 @@ impl Scene {
     /// Adds a material that no core uses yet. O(1).
     ///
     /// # Errors
-    /// [`Error::StaleKey`](crate::Error::StaleKey) for a texture; [`Error::OutOfRange`](crate::Error::OutOfRange) for a number outside the range that
-    /// [`Material`] states.
+    /// [`Error::StaleKey`](crate::Error::StaleKey) for a texture; [`Error::OutOfRange`](crate::Error::OutOfRange) for
+    /// a number outside the range that [`Material`] states.
     pub fn add_material(&mut self, material: Material) -> Result<MaterialKey> {
         self.check_material(&material)?;
         self.acquire_textures(&material);
@@ -173,7 +174,8 @@ impl Scene {
         Ok(())
     }
 
-    /// Frees the cores, geometries, materials and textures that nothing uses: those that were never used. O(all of them).
+    /// Frees the cores, geometries, materials and textures that nothing uses: those that were never used. O(all of
+    /// them).
     pub fn remove_unused(&mut self) {
         // Users first: freeing a core may free its geometry.
         for key in keys_where(&self.cores, |slot| slot.user_count == 0) {

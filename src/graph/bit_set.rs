@@ -1,6 +1,7 @@
 //! A set of small numbers that gives them back in order.
 
-/// A set of numbers below its capacity: one bit each, and one for each word that has any, so that a sparse set is drained quickly.
+/// A set of numbers below its capacity: one bit each, and one for each word that has any, so that a sparse set is
+/// drained quickly.
 #[derive(Debug)]
 pub(super) struct BitSet {
     words: Vec<u64>,

@@ -1,9 +1,9 @@
 //! The change log: what changed since each consumer last looked.
 //!
-//! The log is a queue of segments, each with one entry an object. A segment begins where some consumer's cursor stands; where no
-//! cursor stands any more, neighbours are merged. So there are at most as many segments as cursors, and the log's size is bounded
-//! by the objects, however often they change and however far a consumer lags. Merging costs no more than the read that
-//! allowed it.
+//! The log is a queue of segments, each with one entry an object. A segment begins where some consumer's cursor
+//! stands; where no cursor stands any more, neighbours are merged. So there are at most as many segments as cursors,
+//! and the log's size is bounded by the objects, however often they change and however far a consumer lags. Merging
+//! costs no more than the read that allowed it.
 
 use std::collections::{HashMap, HashSet, VecDeque};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -58,11 +58,13 @@ impl Change {
 pub enum Changes {
     /// The consumer's first read: take the whole scene.
     Everything,
-    /// What changed since the last read, each object once, in the order of first changes. Objects that came and went are left out.
+    /// What changed since the last read, each object once, in the order of first changes. Objects that came and went
+    /// are left out.
     Since(Vec<(Object, Change)>),
 }
 
-/// How far one consumer has read the log of a scene. Dropping it ends the subscription, and frees what only it had still to read.
+/// How far one consumer has read the log of a scene. Dropping it ends the subscription, and frees what only it had
+/// still to read.
 ///
 /// A default cursor has read nothing; see [`Scene::changes_since`](super::Scene::changes_since).
 #[derive(Debug, Default)]
@@ -119,6 +121,12 @@ impl ChangeLog {
         };
         self.merge_between_cursors();
         changes
+    }
+
+    /// Allocates what recording changes of objects up to these takes.
+    pub(super) fn make_room(&mut self, last_node: Option<NodeKey>, last_core: Option<CoreKey>) {
+        let last = [last_node.map(Object::from), last_core.map(Object::from)];
+        last.into_iter().flatten().for_each(|object| self.places.set(object, 0));
     }
 
     /// The start of an open segment without entries.
@@ -182,7 +190,11 @@ impl ChangeLog {
         self.positions().into_iter().min().unwrap_or(u64::MAX)
     }
 
-    /// Checks that each cursor stands at a segment, and that no segment has two entries for an object.
+    fn positions(&self) -> Vec<u64> {
+        self.cursors.iter().filter_map(|cursor| Some(cursor.upgrade()?.load(Ordering::Relaxed))).collect()
+    }
+
+    /// Checks that each cursor stands at the start of a segment, and that no segment has two entries for an object.
     pub(super) fn validate(&self, root: NodeKey) -> Result<()> {
         let rising = self.segments.iter().is_sorted_by(|a, b| a.start < b.start);
         check(rising, root, "the log is out of order")?;
@@ -199,10 +211,6 @@ impl ChangeLog {
             check(dead == segment.dead, root, "the log miscounts what came and went")?;
         }
         Ok(())
-    }
-
-    fn positions(&self) -> Vec<u64> {
-        self.cursors.iter().filter_map(|cursor| Some(cursor.upgrade()?.load(Ordering::Relaxed))).collect()
     }
 }
 

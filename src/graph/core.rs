@@ -38,8 +38,8 @@ impl Core {
 
 /// Where a node's core comes from: a new one, or one that other nodes may share.
 ///
-/// Calls that take `impl Into<CoreSource>` accept a [`Core`], a [`Transform`], a [`Light`] or a [`Camera`] (each makes a new core) or
-/// a [`CoreKey`] (shares it).
+/// Calls that take `impl Into<CoreSource>` accept a [`Core`], a [`Transform`], a [`Light`] or a [`Camera`] (each makes
+/// a new core) or a [`CoreKey`] (shares it).
 #[derive(Clone, Debug, PartialEq)]
 pub enum CoreSource {
     /// A core of the node's own, until somebody shares it.

@@ -51,8 +51,8 @@ impl Scene {
     /// The same key, or a new core equal to one that the node has for itself alone, changes nothing.
     ///
     /// # Errors
-    /// [`Error::StaleKey`] for the node or what the core refers to; [`Error::OutOfRange`] for a bad number in a new core;
-    /// [`Error::Root`] for the root and a core other than a group.
+    /// [`Error::StaleKey`] for the node or what the core refers to; [`Error::OutOfRange`] for a bad number in a new
+    /// core; [`Error::Root`] for the root and a core other than a group.
     pub fn set_core(&mut self, node: NodeKey, core: impl Into<CoreSource>) -> Result<()> {
         let old = self.node(node)?.core;
         let source = core.into();
@@ -105,7 +105,8 @@ impl Scene {
     /// The transform of a transform node into its parent's space.
     ///
     /// # Errors
-    /// [`Error::StaleKey`]; [`Error::WrongCore`] if the node has no transform: move its parent, or put a transform node above it.
+    /// [`Error::StaleKey`]; [`Error::WrongCore`] if the node has no transform: move its parent, or put a transform
+    /// node above it.
     pub fn local(&self, node: NodeKey) -> Result<Transform> {
         match *self.core(node)? {
             Core::Transform(transform) => Ok(transform),
@@ -113,7 +114,8 @@ impl Scene {
         }
     }
 
-    /// Moves a transform node with everything below it, and with it all nodes that share its core. O(nodes that share it).
+    /// Moves a transform node with everything below it, and with it all nodes that share its core. O(nodes that share
+    /// it).
     ///
     /// # Errors
     /// As [`local`](Self::local); [`Error::OutOfRange`] if some number is not finite.

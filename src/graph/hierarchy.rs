@@ -10,10 +10,11 @@ use super::core::CoreSlot;
 use super::node::Node;
 use super::{Core, CoreKey, NodeKey};
 
-/// All nodes of a scene in preorder: a node's subtree is the range from its index to [`subtree_end`](Self::subtree_end).
+/// All nodes of a scene in preorder: a node's subtree is a range of indices that
+/// begins with the node's own.
 ///
-/// Indices change with the structure of the scene; keys do not. It is rebuilt after structural edits; else only the ranges of changed
-/// subtrees are recomputed. About 250 bytes a node.
+/// Indices change with the structure of the scene; keys do not. It is rebuilt after structural edits; else only the
+/// ranges of changed subtrees are recomputed. About 250 bytes a node.
 #[derive(Debug)]
 pub struct Hierarchy {
     nodes: Vec<NodeKey>,
@@ -64,7 +65,8 @@ impl Hierarchy {
         &self.subtree_ends
     }
 
-    /// `world_from_local` of each node: its own transform applied, if it has one. Not finite where the product overflows.
+    /// `world_from_local` of each node: its own transform applied, if it has one. Not finite where the product
+    /// overflows.
     pub fn worlds(&self) -> &[DAffine3] {
         &self.worlds
     }
@@ -231,7 +233,8 @@ impl Hierarchy {
         index
     }
 
-    /// Computes worlds, masks and visibilities of a range from those of the parents, which are right or lie in the range.
+    /// Computes worlds, masks and visibilities of a range from those of the parents, which are right or lie in the
+    /// range.
     fn propagate(&mut self, range: Range<usize>) {
         for index in range {
             let own = &self.own[index];

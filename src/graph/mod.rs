@@ -1,6 +1,7 @@
 //! The retained scene graph: nodes, cores, the change log.
 //!
-//! [`Scene`] owns everything. Its edits and getters stand in files of their own: `structure` (the tree), `cores`, `assets`, `query`.
+//! [`Scene`] owns everything. Its edits and getters stand in files of their own: `structure` (the tree), `cores`,
+//! `assets`, `query`.
 
 mod assets;
 mod bit_set;

@@ -2,7 +2,8 @@
 
 use super::{CoreKey, NodeKey};
 
-/// A node as the scene stores it. All lists are linked through the nodes themselves, so that every edit of them is O(1).
+/// A node as the scene stores it. All lists are linked through the nodes themselves, so that every edit of them is
+/// O(1).
 #[derive(Debug)]
 pub(super) struct Node {
     pub(super) parent: Option<NodeKey>,

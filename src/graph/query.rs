@@ -59,8 +59,9 @@ impl Scene {
         self.descendants(self.root).ok()?.find(|&node| *self.nodes[node].name == *name)
     }
 
-    /// `world_from_local`: the product of the transforms from the root down to the node, its own included. O(depth), or O(1) while the
-    /// [`hierarchy`](Self::hierarchy) is up to date; the result is the same, bit for bit. Not finite where the product overflows.
+    /// `world_from_local`: the product of the transforms from the root down to the node, its own included. O(depth),
+    /// or O(1) while the [`hierarchy`](Self::hierarchy) is up to date; the result is the same, bit for bit. Not finite
+    /// where the product overflows.
     ///
     /// # Errors
     /// [`Error::StaleKey`](crate::Error::StaleKey).
@@ -76,7 +77,8 @@ impl Scene {
         Ok(locals.into_iter().rev().fold(DAffine3::IDENTITY, |world, local| world * local))
     }
 
-    /// The world space box around the boxes of all geometry at and below the node, shown or not. Empty without any. O(nodes below).
+    /// The world space box around the boxes of all geometry at and below the node, shown or not. Empty without any.
+    /// O(nodes below).
     ///
     /// It holds all triangles, and is tight unless geometry is rotated: then it bounds the rotated boxes.
     ///

@@ -14,13 +14,17 @@ use crate::{Error, Result};
 
 /// A retained scene graph.
 ///
-/// A scene is a tree of nodes below one root. Each node has one parent, ordered children, one [`Core`] that says what it is, a name,
-/// a traversal mask and a visibility. Cores refer to geometries and materials, materials to textures; all of these can be
-/// shared, and live as long as somebody uses them. One that was never used stays until it has been used and released,
-/// or until [`remove_unused`](Self::remove_unused).
+/// A scene is a tree of nodes below one root. Each node has one parent, ordered children, one [`Core`] that says what
+/// it is, a name, a traversal mask and a visibility. Cores refer to geometries and materials, materials to textures;
+/// all of these can be shared, and live as long as somebody uses them. One that was never used stays until it has been
+/// used and released, or until [`remove_unused`](Self::remove_unused).
 ///
-/// Everything is named by keys that stay valid until the object goes. A stale key is [`Error::StaleKey`]. A call that returns an
-/// error has left the scene as it was. There is nothing to commit: every getter answers from the current state.
+/// Everything is named by keys that stay valid until the object goes. A stale key is [`Error::StaleKey`]. A call that
+/// returns an error has left the scene as it was. There is nothing to commit: every getter answers from the current
+/// state.
+///
+/// Not guaranteed: that a key of another scene is found out. Keys do not tell their scene, so it may name something
+/// here.
 ///
 /// ```
 /// use glam::{DVec3, Vec3};
@@ -153,15 +157,17 @@ impl Scene {
         self.cores.values().map(|slot| triangles(slot) * slot.user_count as u64).sum()
     }
 
-    /// A cursor into the log of changes, for one consumer. Its first read gives [`Changes::Everything`]. Equal to `Cursor::default()`.
+    /// A cursor into the log of changes, for one consumer. Its first read gives [`Changes::Everything`]. Equal to
+    /// `Cursor::default()`.
     pub fn subscribe(&self) -> Cursor {
         Cursor::default()
     }
 
     /// What has changed since the last read with this cursor, each object once; moves the cursor to now.
     ///
-    /// A cursor that has not read from this scene before gets [`Changes::Everything`] and belongs to this scene from then on, so
-    /// that a consumer needs no care when it is given another scene. O(changes since), of which one object's many count once.
+    /// A cursor that has not read from this scene before gets [`Changes::Everything`] and belongs to this scene from
+    /// then on, so that a consumer needs no care when it is given another scene. O(changes since), of which one
+    /// object's many count once; O(nodes + cores) the first time.
     ///
     /// ```
     /// use ropewalk::{Change, Changes, Core, Object, Scene};
@@ -178,11 +184,16 @@ impl Scene {
     /// # Ok::<(), ropewalk::Error>(())
     /// ```
     pub fn changes_since(&mut self, cursor: &mut Cursor) -> Changes {
-        self.log.read(self.id, cursor)
+        let changes = self.log.read(self.id, cursor);
+        if changes == Changes::Everything {
+            // Not at the first edit, which may be a small one.
+            self.log.make_room(self.nodes.keys().last(), self.cores.keys().last());
+        }
+        changes
     }
 
-    /// Brings the preorder arrays up to date and gives them out. O(1) where nothing changed, O(subtrees changed) after changes of
-    /// transforms, masks and visibility, O(nodes) after structural changes.
+    /// Brings the preorder arrays up to date and gives them out. O(1) where nothing changed, O(subtrees changed) after
+    /// changes of transforms, masks and visibility, O(nodes) after structural changes.
     pub fn hierarchy(&mut self) -> &Hierarchy {
         self.with_hierarchy().1
     }

@@ -12,7 +12,8 @@ impl Scene {
     /// Adds a node as the last child of `parent`: visible, with all bits of its mask set and an empty name. O(1).
     ///
     /// # Errors
-    /// [`Error::StaleKey`] for the parent or what the core refers to; [`Error::OutOfRange`] for a bad number in a new core.
+    /// [`Error::StaleKey`] for the parent or what the core refers to; [`Error::OutOfRange`] for a bad number in a new
+    /// core.
     pub fn add(&mut self, parent: NodeKey, core: impl Into<CoreSource>) -> Result<NodeKey> {
         self.node(parent)?;
         let core = self.obtain_core(core.into())?;
@@ -24,8 +25,8 @@ impl Scene {
         Ok(node)
     }
 
-    /// Removes a node and everything below it, and frees the cores, geometries, materials and textures that only these used.
-    /// O(nodes removed).
+    /// Removes a node and everything below it, and frees the cores, geometries, materials and textures that only these
+    /// used. O(nodes removed).
     ///
     /// # Errors
     /// [`Error::StaleKey`]; [`Error::Root`] for the root.
@@ -53,16 +54,17 @@ impl Scene {
         }
     }
 
-    /// Makes `node` the last child of `parent`, with everything below it. Its current parent changes nothing, its place among
-    /// its siblings included. O(depth), to find cycles.
+    /// Makes `node` the last child of `parent`, with everything below it. Its current parent changes nothing, its
+    /// place among its siblings included. O(depth), to find cycles.
     ///
-    /// With [`Keep::World`] the node gets the local transform that leaves its world transform as it is, up to rounding, as a matrix. Where
-    /// others share its transform core, it gets one of its own first, and the others stay where they are.
+    /// With [`Keep::World`] the node gets the local transform that leaves its world transform as it is, up to
+    /// rounding, as a matrix. Where others share its transform core, it gets one of its own first, and the others stay
+    /// where they are.
     ///
     /// # Errors
-    /// [`Error::StaleKey`]; [`Error::Root`] for the root; [`Error::Cycle`] if `parent` is `node` or below it. With [`Keep::World`]
-    /// also [`Error::WrongCore`] if the node has no transform, and [`Error::Singular`] if the new parent's
-    /// world transform cannot be inverted: some scale above it is 0, or too large or small for f64.
+    /// [`Error::StaleKey`]; [`Error::Root`] for the root; [`Error::Cycle`] if `parent` is `node` or below it. With
+    /// [`Keep::World`] also [`Error::WrongCore`] if the node has no transform, and [`Error::Singular`] if the new
+    /// parent's world transform cannot be inverted: some scale above it is 0, or too large or small for f64.
     pub fn reparent(&mut self, node: NodeKey, parent: NodeKey, keep: Keep) -> Result<()> {
         self.node(node)?;
         self.node(parent)?;
@@ -126,7 +128,8 @@ impl Scene {
         Ok(())
     }
 
-    /// The node's own traversal mask. Rays see what is below it if they share a bit with it and with all masks above it.
+    /// The node's own traversal mask. Rays see what is below it if they share a bit with it and with all masks above
+    /// it.
     ///
     /// # Errors
     /// [`Error::StaleKey`].
@@ -195,7 +198,8 @@ impl Scene {
     }
 }
 
-/// Whether `parent * local` is `world` up to rounding: each axis relative to its own length, the place relative to its distance.
+/// Whether `parent * local` is `world` up to rounding: each axis relative to its own length, the place relative to its
+/// distance.
 fn keeps_world(parent: &DAffine3, local: &DAffine3, world: &DAffine3) -> bool {
     /// Far above rounding, far below what can be seen.
     const TOLERANCE: f64 = 1e-6;

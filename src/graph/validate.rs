@@ -10,11 +10,12 @@ use super::{Core, NodeKey, Object, Scene};
 use crate::{Error, Result};
 
 impl Scene {
-    /// Checks all that must hold whatever was called: links, users, counts, values, the log, and the hierarchy where it is up to
-    /// date. O(everything). For tests: no call breaks it.
+    /// Checks all that must hold whatever was called: links, users, counts, values, the log, and the hierarchy where
+    /// it is up to date. O(everything). For tests: no call breaks it.
     ///
     /// # Errors
-    /// [`Error::Defect`] with the first object that is wrong; what a setter would have said of a value that should not be there.
+    /// [`Error::Defect`] with the first object that is wrong; what a setter would have said of a value that should not
+    /// be there.
     pub fn validate(&self) -> Result<()> {
         self.validate_tree()?;
         self.validate_cores()?;

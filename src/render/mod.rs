@@ -3,7 +3,7 @@
 mod report;
 mod view;
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use serde::Serialize;
 
@@ -13,6 +13,8 @@ pub use view::{Sky, View};
 use crate::compile::Compiler;
 use crate::graph::Scene;
 use crate::image::Image;
+#[cfg(feature = "gpu")]
+use crate::trace::gpu::{Adapters, GpuOptions, GpuTracer};
 use crate::trace::{Cpu, DeviceInfo, Emulated, FrameRequest, Tracer};
 use crate::{Error, Result};
 
@@ -77,13 +79,19 @@ impl Renderer {
         let (tracer, fallback): (Box<dyn Tracer>, _) = match options.device {
             DeviceChoice::Cpu => (Box::new(Cpu::default()), None),
             DeviceChoice::Emulated => (Box::new(Emulated::default()), None),
-            DeviceChoice::Gpu => (open_gpu(true)?, None),
-            DeviceChoice::Auto => match open_gpu(false) {
+            DeviceChoice::Gpu => (open_gpu(options.device)?, None),
+            DeviceChoice::Auto => match open_gpu(options.device) {
                 Ok(gpu) => (gpu, None),
                 Err(reason) => (Box::new(Cpu::default()), Some(reason.to_string())),
             },
         };
         Ok(Self { compiler: Compiler::new(), tracer, fallback })
+    }
+
+    /// A renderer with an executor of the application's: a [`GpuTracer`](crate::trace::gpu::GpuTracer) on the
+    /// application's own device, say.
+    pub fn with_tracer(tracer: impl Tracer + 'static) -> Self {
+        Self { compiler: Compiler::new(), tracer: Box::new(tracer), fallback: None }
     }
 
     /// Why [`DeviceChoice::Auto`] came down to the CPU; `None` if it did not.
@@ -111,7 +119,7 @@ impl Renderer {
 
         // 2. Copy what changed.
         let upload_start = Instant::now();
-        let uploaded_bytes = self.tracer.upload(self.compiler.arrays_mut())?;
+        let uploaded_bytes = self.upload()?;
         let upload_time = upload_start.elapsed();
 
         // 3. Trace.
@@ -131,6 +139,15 @@ impl Renderer {
             total_time: start.elapsed(),
         };
         Ok(Frame { tracer: &*self.tracer, report })
+    }
+
+    /// Copies what changed. After a failure nobody knows what the executor holds: all is compiled and copied again.
+    fn upload(&mut self) -> Result<u64> {
+        let result = self.tracer.upload(self.compiler.arrays_mut());
+        if result.is_err() {
+            self.compiler = Compiler::new();
+        }
+        result
     }
 }
 
@@ -153,6 +170,18 @@ impl Frame<'_> {
     pub fn image(&self) -> Result<Image> {
         self.tracer.read()
     }
+
+    /// The frame's linear colour where it is, to be drawn to a window: an `Rgba32Float` texture on the renderer's device, to be bound
+    /// (unfiltered) or copied from. `None` if no GPU traced it.
+    #[cfg(feature = "gpu")]
+    pub fn texture(&self) -> Option<&wgpu::Texture> {
+        self.tracer.texture()
+    }
+
+    /// How long the GPU took by its own clock; `None` on a CPU, and where the device has no clock. Waits for the frame.
+    pub fn gpu_time(&self) -> Option<Duration> {
+        self.tracer.trace_time()
+    }
 }
 
 fn check(view: &View) -> Result<()> {
@@ -167,6 +196,14 @@ fn check(view: &View) -> Result<()> {
     Ok(())
 }
 
-fn open_gpu(_allow_software: bool) -> Result<Box<dyn Tracer>> {
+/// A GPU; where it was asked for by name, a software one too.
+#[cfg(feature = "gpu")]
+fn open_gpu(choice: DeviceChoice) -> Result<Box<dyn Tracer>> {
+    let adapters = if choice == DeviceChoice::Gpu { Adapters::Any } else { Adapters::Hardware };
+    Ok(Box::new(GpuTracer::new(&GpuOptions { adapters, ..GpuOptions::default() })?))
+}
+
+#[cfg(not(feature = "gpu"))]
+fn open_gpu(_: DeviceChoice) -> Result<Box<dyn Tracer>> {
     Err(Error::NoGpu { reason: "Ropewalk was built without its `gpu` feature".to_owned() })
 }

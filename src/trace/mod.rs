@@ -4,13 +4,14 @@ mod cpu;
 mod emulated;
 #[cfg(feature = "gpu")]
 pub mod gpu;
-#[allow(dead_code, reason = "shading, not merged yet, uses the rest")]
 mod kernel;
 mod planes;
 pub mod shader;
 
 pub use cpu::Cpu;
 pub use emulated::Emulated;
+
+use std::time::Duration;
 
 use serde::Serialize;
 
@@ -36,6 +37,17 @@ pub trait Tracer {
 
     /// The last frame rendered.
     fn read(&self) -> Result<Image>;
+
+    /// The last frame's linear colour as a texture, where it is one: `Rgba32Float`, to be bound (unfiltered) or copied from.
+    #[cfg(feature = "gpu")]
+    fn texture(&self) -> Option<&wgpu::Texture> {
+        None
+    }
+
+    /// How long the device itself says that it traced the last frame, where it has a clock. Waits for the frame.
+    fn trace_time(&self) -> Option<Duration> {
+        None
+    }
 
     /// The closest hit of each ray, of instances that share a bit with `ray_mask`.
     fn closest_hits(&mut self, arrays: &DeviceArrays, rays: &[Ray], ray_mask: u32) -> Result<Vec<Hit>>;

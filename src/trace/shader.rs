@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use crate::compile::Needs;
+use crate::compile::{MAX_MIRROR_ROUGHNESS, Needs};
 
 /// The kernels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -61,6 +61,8 @@ impl EntryPoint {
             // Writing to a string cannot fail.
             let _ = writeln!(source, "const NEEDS_{name}: bool = {};", needs.contains(flag));
         }
+        // A float literal needs its point in WGSL: `{:?}` writes it.
+        let _ = writeln!(source, "const MAX_MIRROR_ROUGHNESS: f32 = {MAX_MIRROR_ROUGHNESS:?};");
         let shading = match self {
             Self::Render | Self::RenderAovs => &SHADING[..],
             Self::ClosestHits | Self::AnyHits => &[],

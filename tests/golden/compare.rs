@@ -13,7 +13,7 @@ const MOST_99TH: f32 = 0.05;
 ///
 /// # Errors
 /// Says by how much they differ, and in which files the image and its difference are kept: `run` with endings, in `failed`.
-pub fn compare(golden: &Path, image: &Image, failed: &Path, run: &str) -> Result<(), String> {
+pub(crate) fn compare(golden: &Path, image: &Image, failed: &Path, run: &str) -> Result<(), String> {
     std::fs::create_dir_all(failed).unwrap();
     let kept = [failed.join(format!("{run}.png")), failed.join(format!("{run}-flip.png"))];
     let [actual, difference] = [&kept[0], &kept[1]].map(|path| path.display().to_string());

@@ -33,8 +33,6 @@ const GOLDENS: [(&str, Build); 12] = [
     ("normal_texture", scenes::normal_texture),
 ];
 
-/// The size of the golden images.
-const SIZE: (u32, u32) = (128, 96);
 /// Rays along each side of a pixel: an edge that another driver rounds to the next ray moves a pixel by a quarter at most.
 const SAMPLES: u32 = 2;
 const MOST_BYTES: u64 = 16 * 1024;
@@ -101,7 +99,7 @@ fn check(name: &str) {
 fn render(build: Build, device: DeviceChoice) -> Result<Image> {
     let mut scene = Scene::new();
     let view = build(&mut scene)?;
-    let view = View { width: SIZE.0 * SAMPLES, height: SIZE.1 * SAMPLES, ..view };
+    let view = View { width: view.width * SAMPLES, height: view.height * SAMPLES, ..view };
     let mut renderer = Renderer::new(&RendererOptions { device })?;
     renderer.render(&mut scene, &view)?.image()?.downscaled(SAMPLES)
 }

@@ -9,15 +9,20 @@ use ropewalk::{AlphaMode, Camera, Core, Filter, Result, Scene, Sky, Transform, V
 
 use crate::builtin::{self, shapes, textures};
 
-pub fn builtin_scene(scene: &mut Scene) -> Result<View> {
+/// The size of a golden image.
+const WIDTH: u32 = 128;
+const HEIGHT: u32 = 96;
+
+/// The scene of the example, smaller: it has so much detail that its file would be too large.
+pub(crate) fn builtin_scene(scene: &mut Scene) -> Result<View> {
     let camera = builtin::build(scene)?;
-    let mut view = View::from_camera(scene, camera, 1, 1)?;
+    let mut view = View::from_camera(scene, camera, 96, 60)?;
     view.sky = builtin::sky();
     Ok(view)
 }
 
 /// A ball, a block and a lens of glass before a checkerboard: the ball shows it upside down, the block shifted.
-pub fn glass(scene: &mut Scene) -> Result<View> {
+pub(crate) fn glass(scene: &mut Scene) -> Result<View> {
     let checker = checkerboard(scene, Filter::Nearest)?;
     put(scene, shapes::cuboid(vec3(4.0, 2.0, 0.1)), checker, at(0.0, 1.0, -2.5))?;
     stand_on_floor(scene, Vec3::splat(0.4))?;
@@ -31,13 +36,14 @@ pub fn glass(scene: &mut Scene) -> Result<View> {
     put(scene, shapes::cuboid(Vec3::ONE), green, turned)?;
     put(scene, shapes::sphere(5), Material::glass(2.4), scaled(1.9, 0.5, 0.6, dvec3(0.5, 0.5, 0.15)))?;
     add_sun(scene, 2.0)?;
-    let mut view = View::look_at(dvec3(0.2, 1.5, 5.0), dvec3(0.2, 0.8, 0.0), DVec3::Y, Camera::default(), 1, 1);
+    let mut view =
+        View::look_at(dvec3(0.2, 1.5, 5.0), dvec3(0.2, 0.8, 0.0), DVec3::Y, Camera::default(), WIDTH, HEIGHT);
     view.max_depth = 6;
     Ok(view)
 }
 
 /// A ball between two mirrors: each level of reflection shows one image more, the last is empty.
-pub fn mirror_depth(scene: &mut Scene) -> Result<View> {
+pub(crate) fn mirror_depth(scene: &mut Scene) -> Result<View> {
     stand_on_floor(scene, vec3(0.5, 0.45, 0.4))?;
     for (z, tint) in [(-2.0, vec3(0.9, 0.9, 0.95)), (2.6, vec3(0.95, 0.9, 0.85))] {
         put(scene, shapes::cuboid(vec3(3.0, 1.5, 0.05)), Material::mirror(tint), at(0.0, 1.2, z))?;
@@ -45,14 +51,15 @@ pub fn mirror_depth(scene: &mut Scene) -> Result<View> {
     put(scene, shapes::sphere(4), Material::diffuse(vec3(0.8, 0.1, 0.05)), scaled(-0.3, 0.5, 0.4, DVec3::splat(0.5)))?;
     put(scene, shapes::cuboid(Vec3::splat(0.25)), Material::diffuse(vec3(0.1, 0.3, 0.8)), at(0.7, 0.25, -0.6))?;
     add_sun(scene, 2.0)?;
-    let mut view = View::look_at(dvec3(1.3, 1.7, 2.4), dvec3(-0.1, 0.7, -2.0), DVec3::Y, Camera::default(), 1, 1);
+    let mut view =
+        View::look_at(dvec3(1.3, 1.7, 2.4), dvec3(-0.1, 0.7, -2.0), DVec3::Y, Camera::default(), WIDTH, HEIGHT);
     view.max_depth = View::MAX_DEPTH;
     Ok(view)
 }
 
 /// Two periods of a texture with four different corners. Columns: repeated, mirrored, clamped; turned by a texture transform.
 /// Upper row: nearest texel; lower row: bilinear.
-pub fn texture_wrap(scene: &mut Scene) -> Result<View> {
+pub(crate) fn texture_wrap(scene: &mut Scene) -> Result<View> {
     let corner = |x: u32, y: u32| match (x / 2, y / 2) {
         _ if x == y => [255, 255, 255, 255],
         (0, 0) => [220, 40, 30, 255],
@@ -85,11 +92,11 @@ pub fn texture_wrap(scene: &mut Scene) -> Result<View> {
         }
     }
     let camera = Camera::Orthographic { x_mag: 2.1, y_mag: 1.1 };
-    Ok(View::look_at(DVec3::Z * 5.0, DVec3::ZERO, DVec3::Y, camera, 1, 1))
+    Ok(View::look_at(DVec3::Z * 5.0, DVec3::ZERO, DVec3::Y, camera, WIDTH, HEIGHT))
 }
 
 /// Alpha masks with round holes, whose shadow has holes too, and three panes of blended colour one behind the other.
-pub fn alpha(scene: &mut Scene) -> Result<View> {
+pub(crate) fn alpha(scene: &mut Scene) -> Result<View> {
     stand_on_floor(scene, Vec3::splat(0.6))?;
     let holes = |x: u32, y: u32| {
         let from_middle = vec2((x % 16) as f32 - 7.5, (y % 16) as f32 - 7.5).length();
@@ -114,11 +121,11 @@ pub fn alpha(scene: &mut Scene) -> Result<View> {
         put(scene, shapes::cuboid(vec3(0.45, 0.6, 0.01)), pane, at(0.7 + 0.4 * i, 0.62 + 0.15 * i, z))?;
     }
     add_sun(scene, 3.0)?;
-    Ok(View::look_at(dvec3(0.2, 1.6, 4.5), dvec3(0.15, 0.7, 0.0), DVec3::Y, Camera::default(), 1, 1))
+    Ok(View::look_at(dvec3(0.2, 1.6, 4.5), dvec3(0.15, 0.7, 0.0), DVec3::Y, Camera::default(), WIDTH, HEIGHT))
 }
 
 /// One single-sided, unsymmetrical piece under scales of every sign, flat and smooth: none may be inside out.
-pub fn mirrored(scene: &mut Scene) -> Result<View> {
+pub(crate) fn mirrored(scene: &mut Scene) -> Result<View> {
     stand_on_floor(scene, Vec3::splat(0.5))?;
     let part = Material { double_sided: false, ..Material::diffuse(vec3(0.85, 0.45, 0.15)) };
     let geometries = [shapes::cuboid(Vec3::ONE), shapes::sphere(3)];
@@ -142,11 +149,11 @@ pub fn mirrored(scene: &mut Scene) -> Result<View> {
         }
     }
     add_sun(scene, 3.0)?;
-    Ok(View::look_at(dvec3(0.8, 2.6, 4.4), dvec3(0.0, 0.4, -0.2), DVec3::Y, Camera::default(), 1, 1))
+    Ok(View::look_at(dvec3(0.8, 2.6, 4.4), dvec3(0.0, 0.4, -0.2), DVec3::Y, Camera::default(), WIDTH, HEIGHT))
 }
 
 /// A red spot, a green point light whose range ends on the floor, and a dim blue directional one, each with shadows.
-pub fn lights(scene: &mut Scene) -> Result<View> {
+pub(crate) fn lights(scene: &mut Scene) -> Result<View> {
     stand_on_floor(scene, Vec3::splat(0.8))?;
     for (x, z) in [(-1.4, 0.0), (0.0, -0.4), (1.4, 0.0)] {
         put(scene, shapes::sphere(4), Material::diffuse(Vec3::splat(0.8)), scaled(x, 0.4, z, DVec3::splat(0.4)))?;
@@ -164,13 +171,14 @@ pub fn lights(scene: &mut Scene) -> Result<View> {
         let pose = scene.add(scene.root(), Transform::looking_at(from, to, DVec3::Y))?;
         scene.add(pose, light)?;
     }
-    let mut view = View::look_at(dvec3(0.0, 2.4, 4.6), dvec3(0.0, 0.1, 0.0), DVec3::Y, Camera::default(), 1, 1);
+    let mut view =
+        View::look_at(dvec3(0.0, 2.4, 4.6), dvec3(0.0, 0.1, 0.0), DVec3::Y, Camera::default(), WIDTH, HEIGHT);
     view.sky = Sky::uniform(Vec3::splat(0.03));
     Ok(view)
 }
 
 /// Colours by vertex: a cube in RGB space, and a ball striped by hue.
-pub fn vertex_colors(scene: &mut Scene) -> Result<View> {
+pub(crate) fn vertex_colors(scene: &mut Scene) -> Result<View> {
     stand_on_floor(scene, Vec3::splat(0.5))?;
     let colored = |mut geometry: Geometry, color: fn(Vec3) -> Vec3| {
         geometry.colors = Some(geometry.positions.iter().map(|&p| color(p).extend(1.0)).collect());
@@ -189,11 +197,11 @@ pub fn vertex_colors(scene: &mut Scene) -> Result<View> {
     });
     put(scene, ball, Material::default(), scaled(1.0, 0.8, 0.0, DVec3::splat(0.8)))?;
     add_sun(scene, 2.5)?;
-    Ok(View::look_at(dvec3(0.0, 1.9, 4.0), dvec3(0.0, 0.7, 0.0), DVec3::Y, Camera::default(), 1, 1))
+    Ok(View::look_at(dvec3(0.0, 1.9, 4.0), dvec3(0.0, 0.7, 0.0), DVec3::Y, Camera::default(), WIDTH, HEIGHT))
 }
 
 /// In the dark: what emits is seen, evenly or by texture; what is unlit is seen as it is; the rest is black.
-pub fn emissive_unlit(scene: &mut Scene) -> Result<View> {
+pub(crate) fn emissive_unlit(scene: &mut Scene) -> Result<View> {
     let checker = checkerboard(scene, Filter::Nearest)?;
     let black = Material::diffuse(Vec3::ZERO);
     let materials = [
@@ -213,13 +221,13 @@ pub fn emissive_unlit(scene: &mut Scene) -> Result<View> {
         };
         put(scene, if textured { shapes::cuboid(Vec3::ONE) } else { shapes::sphere(4) }, material, pose)?;
     }
-    let mut view = View::look_at(DVec3::Z * 4.5, DVec3::ZERO, DVec3::Y, Camera::default(), 1, 1);
+    let mut view = View::look_at(DVec3::Z * 4.5, DVec3::ZERO, DVec3::Y, Camera::default(), WIDTH, HEIGHT);
     view.sky = Sky::uniform(Vec3::ZERO);
     Ok(view)
 }
 
 /// A city of one shared block under an orthographic camera: parallel edges stay parallel.
-pub fn orthographic_instances(scene: &mut Scene) -> Result<View> {
+pub(crate) fn orthographic_instances(scene: &mut Scene) -> Result<View> {
     stand_on_floor(scene, vec3(0.55, 0.6, 0.5))?;
     let block = scene.add_geometry(shapes::cuboid(Vec3::splat(0.5)))?;
     let palette = [vec3(0.85, 0.8, 0.7), vec3(0.7, 0.35, 0.25), vec3(0.35, 0.45, 0.6)];
@@ -238,11 +246,11 @@ pub fn orthographic_instances(scene: &mut Scene) -> Result<View> {
     }
     add_sun(scene, 2.5)?;
     let camera = Camera::Orthographic { x_mag: 5.0, y_mag: 3.75 };
-    Ok(View::look_at(dvec3(10.0, 8.0, 10.0), dvec3(0.0, 0.3, 0.0), DVec3::Y, camera, 1, 1))
+    Ok(View::look_at(dvec3(10.0, 8.0, 10.0), dvec3(0.0, 0.3, 0.0), DVec3::Y, camera, WIDTH, HEIGHT))
 }
 
 /// Balls from smooth to rough; upper row of metal, lower of plastic; the last of each by texture.
-pub fn metallic_roughness(scene: &mut Scene) -> Result<View> {
+pub(crate) fn metallic_roughness(scene: &mut Scene) -> Result<View> {
     // Green is roughness, blue is metallic.
     let texels = [[0, 0, 255, 255], [0, 200, 255, 255], [0, 60, 0, 255], [0, 255, 0, 255]].into();
     let texture = scene.add_texture(Texture { width: 2, height: 2, texels })?;
@@ -268,11 +276,11 @@ pub fn metallic_roughness(scene: &mut Scene) -> Result<View> {
     }
     add_sun(scene, 3.0)?;
     let camera = Camera::Perspective { y_fov: 0.55, aspect: None };
-    Ok(View::look_at(dvec3(0.0, 0.6, 8.0), DVec3::ZERO, DVec3::Y, camera, 1, 1))
+    Ok(View::look_at(dvec3(0.0, 0.6, 8.0), DVec3::ZERO, DVec3::Y, camera, WIDTH, HEIGHT))
 }
 
 /// Flat plates whose normals come from a texture of round bumps, at three strengths: 0, 1 and -1 (dents).
-pub fn normal_texture(scene: &mut Scene) -> Result<View> {
+pub(crate) fn normal_texture(scene: &mut Scene) -> Result<View> {
     let bump = |p: Vec2| {
         let from_middle = (p * 4.0).fract() * 2.0 - 1.0;
         let inside = from_middle.length() < 0.8;
@@ -299,7 +307,7 @@ pub fn normal_texture(scene: &mut Scene) -> Result<View> {
         put(scene, shapes::cuboid(vec3(0.6, 0.9, 0.05)), material, place)?;
     }
     add_sun(scene, 3.0)?;
-    Ok(View::look_at(dvec3(0.0, 0.0, 3.0), DVec3::ZERO, DVec3::Y, Camera::default(), 1, 1))
+    Ok(View::look_at(dvec3(0.0, 0.0, 3.0), DVec3::ZERO, DVec3::Y, Camera::default(), WIDTH, HEIGHT))
 }
 
 /// A material that shows black and white squares of a quarter of the texture's sides.
@@ -315,7 +323,7 @@ fn checkerboard(scene: &mut Scene, filter: Filter) -> Result<Material> {
 }
 
 fn stand_on_floor(scene: &mut Scene, color: Vec3) -> Result<()> {
-    put(scene, shapes::floor(20.0, 1.0), Material::diffuse(color), Transform::IDENTITY).map(|_| ())
+    put(scene, shapes::square(20.0), Material::diffuse(color), Transform::IDENTITY).map(|_| ())
 }
 
 /// From the upper left, behind the viewer.

@@ -63,7 +63,7 @@ fn works_without_optional_features() {
     let mut arrays = soup(1, &mut Random::new(2));
     tracer.upload(&mut arrays).unwrap();
     tracer.render(&arrays, &crate::frame::request(8, 8, false)).unwrap();
-    assert_eq!(tracer.last_trace_time(), None);
+    assert_eq!(tracer.trace_time(), None);
     assert_eq!(tracer.read().unwrap().color.len(), 64);
 }
 
@@ -100,7 +100,7 @@ fn lose(mut tracer: GpuTracer) {
     for (call, outcome) in outcomes.iter().enumerate() {
         assert!(matches!(outcome, Some(Error::Gpu { .. })), "call {call}: {outcome:?}");
     }
-    assert_eq!(tracer.last_trace_time(), None);
+    assert_eq!(tracer.trace_time(), None);
 }
 
 /// An adapter that a tracer can be made for, and that tracer.

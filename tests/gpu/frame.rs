@@ -39,7 +39,7 @@ fn a_frame_without_pixels_is_empty() {
         let image = tracer.read().unwrap();
         assert_eq!((image.width, image.height, image.color.len()), (width, height, 0));
         assert!(image.aovs.is_some_and(|aovs| aovs.depth.is_empty()));
-        assert!(tracer.color().is_none());
+        assert!(tracer.texture().is_none());
     }
 }
 
@@ -78,14 +78,14 @@ fn the_texture_for_a_window_holds_the_frame() {
     let Some(mut tracer) = tracer() else { return };
     let mut arrays = soup(20, &mut Random::new(5));
     tracer.upload(&mut arrays).unwrap();
-    assert!(tracer.color().is_none());
+    assert!(tracer.texture().is_none());
     tracer.render(&arrays, &request(40, 30, false)).unwrap();
-    let (texture, _) = tracer.color().unwrap();
+    let texture = tracer.texture().unwrap();
     assert_eq!((texture.width(), texture.height(), texture.format()), (40, 30, wgpu::TextureFormat::Rgba32Float));
     assert!(texture.usage().contains(wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_SRC));
     let texture = texture.clone();
     tracer.render(&arrays, &request(40, 30, false)).unwrap();
-    assert_eq!(tracer.color().unwrap().0, &texture, "a frame of the same size is made in the same texture");
+    assert_eq!(tracer.texture().unwrap(), &texture, "a frame of the same size is made in the same texture");
 }
 
 #[test]
@@ -103,13 +103,13 @@ fn a_kernel_is_compiled_once_for_each_set_of_needs() {
 #[test]
 fn the_time_of_a_frame_is_the_gpus() {
     let Some(mut tracer) = tracer() else { return };
-    assert_eq!(tracer.last_trace_time(), None);
+    assert_eq!(tracer.trace_time(), None);
     let mut arrays = soup(20, &mut Random::new(7));
     tracer.upload(&mut arrays).unwrap();
     tracer.render(&arrays, &request(600, 600, false)).unwrap();
     let has_timestamps = tracer.wgpu_device().features().contains(wgpu::Features::TIMESTAMP_QUERY);
-    assert_eq!(tracer.last_trace_time().is_some(), has_timestamps);
-    assert!(tracer.last_trace_time().is_none_or(|time| !time.is_zero()));
+    assert_eq!(tracer.trace_time().is_some(), has_timestamps);
+    assert!(tracer.trace_time().is_none_or(|time| !time.is_zero()));
 }
 
 fn emulated(arrays: &ropewalk::device::DeviceArrays, request: &FrameRequest) -> Image {

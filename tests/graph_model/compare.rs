@@ -65,12 +65,12 @@ fn objects(scene: &Scene, model: &Model) {
     assert_eq!(scene.geometry_count(), model.geometries.len());
     assert_eq!(scene.material_count(), model.materials.len());
     assert_eq!(scene.texture_count(), model.textures.len());
-    assert_eq!(scene.triangle_count(), model.geometries.values().map(|g| g.indices.len() as u64).sum());
+    assert_eq!(scene.triangle_count(), model.geometries.values().map(|g| g.indices.len() as u64).sum::<u64>());
     let shown = model.nodes.keys().filter_map(|&node| match model.core(node) {
         Core::Geometry { geometry, .. } => Some(model.geometries[geometry].indices.len() as u64),
         _ => None,
     });
-    assert_eq!(scene.instanced_triangle_count(), shown.sum());
+    assert_eq!(scene.instanced_triangle_count(), shown.sum::<u64>());
 }
 
 fn stale_keys(scene: &Scene, model: &Model, issued: &Issued) {

@@ -1,8 +1,10 @@
-//! Device arrays of meshes under transforms, with hierarchies split at the median: simple enough to trust.
+//! Device arrays of meshes under transforms.
 
 use glam::{DAffine3, DMat3, Vec3};
+use ropewalk::accel::{Blas, BuildParams};
 use ropewalk::device::DeviceArrays;
-use ropewalk::device::layout::{Instance, InstanceFlags, NONE, Node, PrimitiveRange, Triangle};
+use ropewalk::device::layout::{Instance, InstanceFlags, Material, NONE, Node, PrimitiveRange, Streams, Triangle};
+use ropewalk::graph::Geometry;
 use ropewalk::math::Aabb;
 
 use super::Mesh;
@@ -23,16 +25,36 @@ impl Placed {
     }
 }
 
-/// The arrays of `placed` in their order.
+/// What makes the bottom levels.
+#[derive(Clone, Copy, Debug)]
+pub enum Builder {
+    /// Splits at the median: simple enough to trust.
+    Median,
+    /// [`Blas::build`].
+    Product,
+}
+
+impl Builder {
+    pub const BOTH: [Self; 2] = [Self::Median, Self::Product];
+}
+
+/// The arrays of `placed` in their order, made without the product's builders.
 pub fn arrays(meshes: &[Mesh], placed: &[Placed]) -> DeviceArrays {
+    arrays_by(Builder::Median, meshes, placed)
+}
+
+/// The arrays of `placed` in their order.
+pub fn arrays_by(builder: Builder, meshes: &[Mesh], placed: &[Placed]) -> DeviceArrays {
     let mut arrays = DeviceArrays::default();
     let (mut nodes, mut triangles, mut starts) = (Vec::new(), Vec::new(), Vec::new());
     for mesh in meshes {
         starts.push((nodes.len() as u32, triangles.len() as u32));
-        let boxes: Vec<Aabb> = (0..mesh.indices.len()).map(|i| Aabb::from_points(mesh.triangle(i))).collect();
-        let (order, blas) = hierarchy(&boxes, 2);
-        nodes.extend(blas);
-        triangles.extend(order.iter().map(|&i| triangle(i, mesh.triangle(i as usize))));
+        let (blas_nodes, blas_triangles) = match builder {
+            Builder::Median => median_blas(mesh),
+            Builder::Product => product_blas(mesh),
+        };
+        nodes.extend(blas_nodes);
+        triangles.extend(blas_triangles);
     }
     let instances: Vec<Instance> = placed.iter().map(|p| instance(p, starts[p.mesh])).collect();
     let boxes: Vec<Aabb> = placed.iter().map(|p| world_box(&meshes[p.mesh], &p.world_from_local)).collect();
@@ -44,7 +66,49 @@ pub fn arrays(meshes: &[Mesh], placed: &[Placed]) -> DeviceArrays {
     arrays.instances.replace(&instances);
     arrays.blas_nodes.replace(&nodes);
     arrays.triangles.replace(&triangles);
+    arrays.geometries.replace(&[Streams {
+        first_index: NONE,
+        first_normal: NONE,
+        first_tex_coord_0: NONE,
+        first_tex_coord_1: NONE,
+        first_color: NONE,
+        _pad: [0; 3],
+    }]);
+    arrays.materials.replace(&[gray()]);
     arrays
+}
+
+/// Matt, opaque, without textures.
+fn gray() -> Material {
+    Material {
+        base_color: [0.5, 0.5, 0.5, 1.0],
+        emissive: [0.0; 3],
+        metallic: 0.0,
+        roughness: 1.0,
+        transmission: 0.0,
+        ior: 1.5,
+        alpha_cutoff: 0.5,
+        flags: 0,
+        base_color_texture: NONE,
+        metallic_roughness_texture: NONE,
+        emissive_texture: NONE,
+        transmission_texture: NONE,
+        normal_texture: NONE,
+        normal_scale: 1.0,
+        _pad: 0,
+    }
+}
+
+fn median_blas(mesh: &Mesh) -> (Vec<Node>, Vec<Triangle>) {
+    let boxes: Vec<Aabb> = (0..mesh.indices.len()).map(|i| Aabb::from_points(mesh.triangle(i))).collect();
+    let (order, nodes) = hierarchy(&boxes, 2);
+    (nodes, order.iter().map(|&i| triangle(i, mesh.triangle(i as usize))).collect())
+}
+
+fn product_blas(mesh: &Mesh) -> (Vec<Node>, Vec<Triangle>) {
+    let geometry = Geometry::new(mesh.positions.clone(), mesh.indices.clone());
+    let blas = Blas::build(&geometry, &BuildParams::default()).unwrap();
+    (blas.nodes, blas.triangles)
 }
 
 fn triangle(primitive: u32, [v0, v1, v2]: [Vec3; 3]) -> Triangle {
@@ -61,7 +125,7 @@ fn instance(placed: &Placed, (first_node, first_triangle): (u32, u32)) -> Instan
         material: 0,
         mask: placed.mask,
         flags: placed.flags.bits(),
-        node: [0; 2],
+        node: [3, 1],
     }
 }
 

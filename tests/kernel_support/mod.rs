@@ -1,6 +1,6 @@
-//! What the kernel's tests trace: meshes, random numbers, and device arrays made without the product's builders.
+//! What the kernel's tests trace: meshes, random numbers, device arrays, and the truth about them.
 
-#![allow(dead_code, unreachable_pub, reason = "each test uses a part of this")]
+#![allow(dead_code, unreachable_pub, unused_imports, reason = "each test uses a part of this")]
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
 mod arrays;
@@ -11,7 +11,7 @@ mod mesh;
 pub mod oracle;
 mod random;
 
-pub use arrays::{Placed, arrays};
+pub use arrays::{Builder, Placed, arrays, arrays_by};
 pub use mesh::Mesh;
 pub use random::Random;
 

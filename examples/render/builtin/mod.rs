@@ -3,8 +3,8 @@
 //! It is made in code, so that the first picture needs no download. Some eight hundred nodes share two dozen cores: each column,
 //! bead and ball is a transform above a shared core.
 
-pub mod shapes;
-pub mod textures;
+pub(crate) mod shapes;
+pub(crate) mod textures;
 
 use std::f64::consts::TAU;
 
@@ -22,7 +22,7 @@ const COLUMN_HEIGHT: f64 = 4.0;
 const BEADS: u32 = 25;
 
 /// Adds the colonnade and its light to an empty scene and returns its camera's node.
-pub fn build(scene: &mut Scene) -> Result<NodeKey> {
+pub(crate) fn build(scene: &mut Scene) -> Result<NodeKey> {
     let root = scene.root();
     let texture = scene.add_texture(textures::marble(256))?;
     let marble = Material { base_color_texture: Some(TextureRef::new(texture)), roughness: 0.5, ..Material::default() };
@@ -32,13 +32,13 @@ pub fn build(scene: &mut Scene) -> Result<NodeKey> {
     add_balls(scene, root)?;
 
     // A low sun from the left, a little behind what is seen: columns and beads draw long shadows over the floor.
-    let sun = Light { kind: LightKind::Directional, color: Vec3::new(1.0, 0.86, 0.68), intensity: 4.2, range: None };
-    let sun_pose = Transform::looking_at(dvec3(-5.4, 4.9, 0.4), DVec3::ZERO, DVec3::Y);
+    let sun = Light { kind: LightKind::Directional, color: Vec3::new(1.0, 0.80, 0.56), intensity: 5.5, range: None };
+    let sun_pose = Transform::looking_at(dvec3(-5.5, 3.4, 1.6), DVec3::ZERO, DVec3::Y);
     let sun_node = scene.add(root, sun_pose)?;
     scene.set_name(sun_node, "sun")?;
     scene.add(sun_node, sun)?;
 
-    let eye = Transform::looking_at(dvec3(0.55, 1.62, 5.0), dvec3(0.05, 1.42, 0.0), DVec3::Y);
+    let eye = Transform::looking_at(dvec3(0.50, 1.66, 5.25), dvec3(0.05, 1.34, 0.0), DVec3::Y);
     let eye_node = scene.add(root, eye)?;
     let camera = scene.add(eye_node, Camera::Perspective { y_fov: 0.80, aspect: None })?;
     scene.set_name(camera, "camera")?;
@@ -46,23 +46,28 @@ pub fn build(scene: &mut Scene) -> Result<NodeKey> {
 }
 
 /// The evening sky above it.
-pub fn sky() -> Sky {
+pub(crate) fn sky() -> Sky {
     Sky {
-        zenith: Vec3::new(0.16, 0.30, 0.62),
-        horizon: Vec3::new(0.95, 0.74, 0.56),
-        ground: Vec3::new(0.20, 0.17, 0.15),
+        zenith: Vec3::new(0.0, 0.22, 0.95),
+        horizon: Vec3::new(0.78, 0.71, 0.62),
+        ground: Vec3::new(0.16, 0.15, 0.15),
         up: Vec3::Y,
     }
 }
 
-/// The floor and the steps below the knot.
+/// The floor, the sea around it, and the steps below the knot.
 fn add_court(scene: &mut Scene, root: NodeKey, marble: &Material) -> Result<()> {
     let texture = scene.add_texture(textures::marble_checker(512))?;
     let polished =
         Material { base_color_texture: Some(TextureRef::new(texture)), roughness: 0.0, ..Material::default() };
-    let floor = core(scene, shapes::floor(40.0, 40.0), polished)?;
+    let floor = core(scene, shapes::disk(7.0, 128, 2.0), polished)?;
     let node = scene.add(root, floor)?;
     scene.set_name(node, "floor")?;
+
+    let water = Material { roughness: 0.0, ..Material::diffuse(Vec3::new(0.01, 0.03, 0.04)) };
+    let sea = core(scene, shapes::square(4000.0), water)?;
+    let node = place(scene, root, at(dvec3(0.0, -0.9, 0.0), 1.0), sea)?;
+    scene.set_name(node, "sea")?;
 
     let step = [(0.0, 0.0), (1.0, 0.0), (1.0, 0.9), (0.96, 1.0), (0.0, 1.0)];
     let step = core(scene, shapes::lathe(&points(&step), 96, 0, 0.0), marble.clone())?;
@@ -80,15 +85,16 @@ fn add_colonnade(scene: &mut Scene, root: NodeKey, marble: &Material) -> Result<
 
     // Each profile is a column part's own: heights are absolute.
     let height = COLUMN_HEIGHT as f32;
-    let base = [(0.46, 0.0), (0.46, 0.12), (0.40, 0.14), (0.43, 0.18), (0.43, 0.24), (0.36, 0.28), (0.33, 0.32)];
+    let base = [(0.45, 0.06), (0.46, 0.12), (0.40, 0.15), (0.43, 0.18), (0.43, 0.24), (0.36, 0.28), (0.33, 0.32)];
     let shaft: Vec<(f32, f32)> =
         (0..=12).map(|i| i as f32 / 12.0).map(|t| (0.32 - 0.05 * t * t, 0.32 + t * (height - 0.72))).collect();
     let capital =
         [(0.27, -0.40), (0.29, -0.37), (0.27, -0.34), (0.30, -0.28), (0.42, -0.14), (0.45, -0.12), (0.45, 0.0)];
     let capital = capital.map(|(radius, below_top)| (radius, height + below_top));
     let parts = [
+        core(scene, shapes::cuboid(Vec3::new(0.48, 0.06, 0.48)), marble.clone())?,
         core(scene, shapes::lathe(&points(&base), 48, 0, 0.0), marble.clone())?,
-        core(scene, shapes::lathe(&points(&shaft), 160, 20, 0.07), marble.clone())?,
+        core(scene, shapes::lathe(&points(&shaft), 192, 16, 0.10), marble.clone())?,
         core(scene, shapes::lathe(&points(&capital), 48, 0, 0.0), marble.clone())?,
     ];
     for i in 0..COLUMNS {
@@ -175,10 +181,13 @@ fn add_knot(scene: &mut Scene, root: NodeKey, marble: &Material) -> Result<()> {
     };
     let knot = scene.add(root, pose)?;
     scene.set_name(knot, "knot")?;
-    for (strand, color) in [(0.98, 0.69, 0.27), (1.0, 0.76, 0.36), (0.95, 0.62, 0.22)].into_iter().enumerate() {
+    let strand = scene.add_geometry(shapes::trefoil_strand(0.235))?;
+    for (third, color) in [(0.98, 0.69, 0.27), (1.0, 0.78, 0.40), (0.93, 0.58, 0.20)].into_iter().enumerate() {
         let gold = Material { roughness: 0.12, ..Material::mirror(Vec3::from(color)) };
-        let strand = core(scene, shapes::trefoil_strand(strand as u32, 3, 0.235), gold)?;
-        scene.add(knot, strand)?;
+        let material = scene.add_material(gold)?;
+        let turned = DQuat::from_rotation_z(TAU / 3.0 * third as f64);
+        let node = scene.add(knot, Transform::from_rotation(turned))?;
+        scene.add(node, Core::Geometry { geometry: strand, material })?;
     }
     Ok(())
 }
@@ -198,12 +207,12 @@ fn add_balls(scene: &mut Scene, root: NodeKey) -> Result<()> {
     let blue = ball_of(Material { roughness: 0.05, ..Material::diffuse(Vec3::new(0.02, 0.06, 0.38)) })?;
 
     for (x, z, radius, core) in [
-        (-1.75, 1.15, 0.62, chrome),
-        (1.30, 1.75, 0.46, glass),
-        (2.15, 0.55, 0.36, red),
-        (-0.80, 2.20, 0.24, green),
-        (0.42, 2.55, 0.15, blue),
-        (-2.55, 2.10, 0.20, red),
+        (-1.95, 0.75, 0.62, chrome),
+        (1.45, 1.35, 0.44, glass),
+        (2.30, 0.25, 0.36, red),
+        (-0.95, 1.75, 0.24, green),
+        (0.48, 1.92, 0.15, blue),
+        (-2.15, 1.60, 0.19, red),
     ] {
         place(scene, balls, at(dvec3(x, radius, z), radius), core)?;
     }

@@ -37,7 +37,7 @@ impl Mesh {
 }
 
 /// A sphere of radius 1 with `20 * 4^subdivisions` triangles: an icosahedron, each triangle cut in four.
-pub fn sphere(subdivisions: u32) -> Geometry {
+pub(crate) fn sphere(subdivisions: u32) -> Geometry {
     const GOLDEN: f32 = 1.618_034;
     let mut positions: Vec<Vec3> = [(1.0, GOLDEN), (-1.0, GOLDEN), (1.0, -GOLDEN), (-1.0, -GOLDEN)]
         .into_iter()
@@ -85,7 +85,7 @@ fn icosahedron_faces(positions: &[Vec3]) -> Vec<[u32; 3]> {
 }
 
 /// A box of these half extents; each face shows the whole texture, upright on the four sides.
-pub fn cuboid(half: Vec3) -> Geometry {
+pub(crate) fn cuboid(half: Vec3) -> Geometry {
     let mut mesh = Mesh::default();
     for (normal, up) in [
         (Vec3::X, Vec3::Y),
@@ -104,20 +104,36 @@ pub fn cuboid(half: Vec3) -> Geometry {
     mesh.finish()
 }
 
-/// A square in the xz plane that faces up, with sides of `2 * half`, its texture repeated `repeats` times along each.
-pub fn floor(half: f32, repeats: f32) -> Geometry {
+/// A disk in the xz plane that faces up, its texture repeated every `period` units.
+pub(crate) fn disk(radius: f32, segments: u32, period: f32) -> Geometry {
+    let mut mesh = Mesh::default();
+    let mut vertex = |x: f32, z: f32| mesh.vertex(vec3(x, 0.0, z) * radius, Vec3::Y, vec2(x, z) * radius / period);
+    vertex(0.0, 0.0);
+    for s in 0..segments {
+        let (sin, cos) = (s as f32 / segments as f32 * TAU).sin_cos();
+        vertex(cos, -sin);
+    }
+    mesh.indices = (0..segments).map(|s| [0, 1 + s, 1 + (s + 1) % segments]).collect();
+    mesh.finish()
+}
+
+/// A square in the xz plane that faces up with sides of `2 * half`; it shows the texture once.
+pub(crate) fn square(half: f32) -> Geometry {
     let mut mesh = Mesh::default();
     let corners = [(-1.0, 1.0), (1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)]
-        .map(|(x, z)| mesh.vertex(vec3(x, 0.0, z) * half, Vec3::Y, (vec2(x, z) * 0.5 + 0.5) * repeats));
+        .map(|(x, z)| mesh.vertex(vec3(x, 0.0, z) * half, Vec3::Y, vec2(x, z) * 0.5 + 0.5));
     mesh.quad(corners);
     mesh.finish()
 }
 
 /// What `profile`, pairs of radius and height from the bottom up, sweeps out around the y axis. Where the profile bends by more
 /// than 40 degrees there is an edge, elsewhere it is smooth. Each of `flutes` grooves takes `flute_depth` of the radius.
-pub fn lathe(profile: &[Vec2], segments: u32, flutes: u32, flute_depth: f32) -> Geometry {
+/// A texture is repeated about every two units of length, a whole number of times around.
+pub(crate) fn lathe(profile: &[Vec2], segments: u32, flutes: u32, flute_depth: f32) -> Geometry {
     let mut mesh = Mesh::default();
+    let repeats = (0.5 * TAU * profile.iter().map(|point| point.x).fold(0.0, f32::max)).round().max(1.0);
     let outward = |i: usize| (profile[i + 1] - profile[i]).perp().normalize_or_zero() * -1.0;
+    let mut along = 0.0;
     for i in 0..profile.len() - 1 {
         let smooth = |other: Option<usize>| match other {
             Some(j) if outward(j).dot(outward(i)) > 40.0_f32.to_radians().cos() => {
@@ -127,7 +143,8 @@ pub fn lathe(profile: &[Vec2], segments: u32, flutes: u32, flute_depth: f32) -> 
         };
         let lower = smooth(i.checked_sub(1));
         let upper = smooth(Some(i + 1).filter(|&j| j + 1 < profile.len()));
-        let rings = [(profile[i], lower), (profile[i + 1], upper)].map(|(point, normal)| {
+        let next = along + profile[i].distance(profile[i + 1]);
+        let rings = [(profile[i], lower, along), (profile[i + 1], upper, next)].map(|(point, normal, along)| {
             (0..=segments)
                 .map(|s| {
                     let around = s as f32 / segments as f32;
@@ -139,20 +156,21 @@ pub fn lathe(profile: &[Vec2], segments: u32, flutes: u32, flute_depth: f32) -> 
                     let slope = -flute_depth * flutes as f32 * 0.5 * phase.cos() * phase.sin().signum();
                     let normal = (radial - vec3(-sin, 0.0, -cos) * slope / groove) * normal.x + Vec3::Y * normal.y;
                     let position = radial * point.x * groove + Vec3::Y * point.y;
-                    mesh.vertex(position, normal.normalize_or_zero(), vec2(around, 1.0 - point.y))
+                    mesh.vertex(position, normal.normalize_or_zero(), vec2(around * repeats, -0.5 * along))
                 })
                 .collect::<Vec<u32>>()
         });
         for s in 0..segments as usize {
             mesh.quad([rings[0][s], rings[0][s + 1], rings[1][s + 1], rings[1][s]]);
         }
+        along = next;
     }
     mesh.finish()
 }
 
 /// A closed tube of this radius around a closed curve, `curve(t)` with t from 0 to 1. `side(t)` is any direction that is never
 /// parallel to the curve and comes back to itself; it says where the tube's seam runs.
-pub fn closed_tube(
+pub(crate) fn closed_tube(
     curve: impl Fn(f32) -> Vec3,
     side: impl Fn(f32) -> Vec3,
     radius: f32,
@@ -184,11 +202,12 @@ pub fn closed_tube(
     mesh.finish()
 }
 
-/// One strand of a rope laid of `strands` and tied into a trefoil knot: turned by `1 / strands` of the rope, it is the next. The
-/// knot is about 3 wide and 1 thick, its axis is z.
-pub fn trefoil_strand(strand: u32, strands: u32, rope_radius: f32) -> Geometry {
-    /// How often a strand winds around the rope on its way through the knot: a whole number, so that it closes.
-    const LAY: f32 = 31.0;
+/// One of the three strands of a rope that is tied into a trefoil knot about the z axis; turned by a third about that axis, it is
+/// the next. The knot is about 3 units wide and 1 thick.
+pub(crate) fn trefoil_strand(rope_radius: f32) -> Geometry {
+    /// How often a strand winds around the rope on its way through the knot: a whole number, so that it closes, but none of
+    /// three, so that a turn of the knot makes it another strand.
+    const LAY: f32 = 17.0;
 
     // A torus knot winds three times around a tube while it goes twice around.
     let knot = |t: f32| {
@@ -201,11 +220,12 @@ pub fn trefoil_strand(strand: u32, strands: u32, rope_radius: f32) -> Geometry {
         let (center, outward) = knot(t);
         let tangent = (knot(t + 1e-3).0 - knot(t - 1e-3).0).normalize();
         let across = outward.reject_from(tangent).normalize();
-        let angle = TAU * (LAY * t + strand as f32 / strands as f32);
-        (center, across * angle.cos() + tangent.cross(across) * angle.sin())
+        let (sin, cos) = (TAU * LAY * t).sin_cos();
+        (center, across * cos + tangent.cross(across) * sin)
     };
-    // Strands of this radius touch their neighbours.
-    let touching = (PI / strands as f32).sin();
+    // Strands of this part of the rope's radius touch each other.
+    let touching = (PI / 3.0).sin();
     let to_strand = rope_radius / (1.0 + touching);
-    closed_tube(move |t| lay(t).0 + lay(t).1 * to_strand, move |t| lay(t).1, to_strand * touching, 1200, 14)
+    let strand = move |t: f32| lay(t).0 + lay(t).1 * to_strand;
+    closed_tube(strand, move |t| lay(t).1, to_strand * touching, 1200, 16)
 }

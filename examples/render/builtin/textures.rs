@@ -5,7 +5,7 @@ use ropewalk::graph::Texture;
 use ropewalk::image::srgb_from_linear;
 
 /// Two by two marble slabs, light and dark in turn, with joints between them.
-pub fn marble_checker(size: u32) -> Texture {
+pub(crate) fn marble_checker(size: u32) -> Texture {
     from_fn(size, |p| {
         let slab = (p * 2.0).floor();
         let within = p * 2.0 - slab;
@@ -22,16 +22,16 @@ pub fn marble_checker(size: u32) -> Texture {
 }
 
 /// Pale marble with grey and rusty veins.
-pub fn marble(size: u32) -> Texture {
+pub(crate) fn marble(size: u32) -> Texture {
     from_fn(size, |p| {
         let (grey, rust) = (veins(p, 3), veins(p, 11));
-        let white = Vec3::new(0.80, 0.77, 0.72).lerp(Vec3::new(0.40, 0.39, 0.40), grey);
-        white.lerp(Vec3::new(0.48, 0.30, 0.18), 0.6 * rust * rust)
+        let white = Vec3::new(0.80, 0.76, 0.69).lerp(Vec3::new(0.46, 0.44, 0.43), grey);
+        white.lerp(Vec3::new(0.56, 0.40, 0.27), 0.5 * rust)
     })
 }
 
 /// A texture of `size` by `size` texels whose linear colour at `p`, each coordinate in 0 to 1, is `color(p)`.
-pub fn from_fn(size: u32, color: impl Fn(Vec2) -> Vec3) -> Texture {
+pub(crate) fn from_fn(size: u32, color: impl Fn(Vec2) -> Vec3) -> Texture {
     let texel = |x: u32, y: u32| {
         let linear = color((vec2(x as f32, y as f32) + 0.5) / size as f32);
         let [r, g, b] = linear.to_array().map(|c| (srgb_from_linear(c) * 255.0 + 0.5) as u8);
@@ -43,9 +43,9 @@ pub fn from_fn(size: u32, color: impl Fn(Vec2) -> Vec3) -> Texture {
 
 /// Thin lines, 0 to 1, where a disturbed wave crosses zero. Tiles with period 1.
 fn veins(p: Vec2, seed: u32) -> f32 {
-    let turbulence = (0..5).map(|octave| noise(p, 3 << octave, seed + octave) / (1 << octave) as f32).sum::<f32>();
-    let wave = (std::f32::consts::TAU * (p.x + p.y + 0.9 * turbulence)).sin().abs();
-    (1.0 - wave).powi(4)
+    let turbulence = (0..5).map(|octave| noise(p, 2 << octave, seed + octave) / (1 << octave) as f32).sum::<f32>();
+    let wave = (std::f32::consts::TAU * (p.x + p.y + 0.7 * turbulence)).sin().abs();
+    (1.0 - wave).powi(6)
 }
 
 /// Smooth noise between -1 and 1, of `cells` by `cells` random values over the unit square. Tiles with period 1.

@@ -82,7 +82,6 @@ pub(super) struct Frame {
     height: u32,
     aovs: bool,
     color: wgpu::Texture,
-    color_view: wgpu::TextureView,
     normal_depth: wgpu::Texture,
     ids: wgpu::Texture,
     /// The parameters of each dispatch, `stride` bytes apart.
@@ -128,10 +127,9 @@ impl Frame {
         let slots = 1 + height.div_ceil(band_rows(width)) as usize;
         let params = context.buffer("frame", (slots * stride) as u64, BufferUsages::UNIFORM | BufferUsages::COPY_DST);
         let view = |texture: &wgpu::Texture| texture.create_view(&wgpu::TextureViewDescriptor::default());
-        let color_view = view(&color);
-        let outputs = [&color_view, &view(&normal_depth), &view(&ids)];
+        let outputs = [&view(&color), &view(&normal_depth), &view(&ids)];
         let bind_group = bind(context, layout, &params, outputs);
-        Self { width, height, aovs, color, color_view, normal_depth, ids, params, stride, bind_group }
+        Self { width, height, aovs, color, normal_depth, ids, params, stride, bind_group }
     }
 
     /// Whether a frame of that kind fits here.
@@ -139,8 +137,8 @@ impl Frame {
         [self.width, self.height] == size && self.aovs == aovs
     }
 
-    pub(super) fn color(&self) -> (&wgpu::Texture, &wgpu::TextureView) {
-        (&self.color, &self.color_view)
+    pub(super) fn color(&self) -> &wgpu::Texture {
+        &self.color
     }
 
     /// Bytes of GPU memory that the textures take.

@@ -97,19 +97,6 @@ impl GpuTracer {
         &self.context.queue
     }
 
-    /// The last frame's linear colour, `Rgba32Float`, to be bound (unfiltered) or copied from; none before the first
-    /// frame with pixels. A frame of another size has another texture.
-    pub fn color(&self) -> Option<(&wgpu::Texture, &wgpu::TextureView)> {
-        self.frame.as_ref().map(Frame::color)
-    }
-
-    /// How long the GPU took for the last frame, from its first ray to its last, by its own clock; none before the
-    /// first frame, and where the device has no timestamps. Waits for the frame.
-    pub fn last_trace_time(&self) -> Option<Duration> {
-        self.frame.as_ref()?;
-        self.timer.as_ref()?.read(&self.context).ok()
-    }
-
     /// Bytes of GPU memory held for the scene, the last frame and batches.
     pub fn memory(&self) -> u64 {
         self.scene.bytes() + self.frame.as_ref().map_or(0, Frame::bytes) + self.batch.as_ref().map_or(0, Batch::bytes)
@@ -175,6 +162,15 @@ impl Tracer for GpuTracer {
         })?;
         self.frame = Some(frame);
         Ok(())
+    }
+
+    fn texture(&self) -> Option<&wgpu::Texture> {
+        Some(self.frame.as_ref()?.color())
+    }
+
+    fn trace_time(&self) -> Option<Duration> {
+        self.frame.as_ref()?;
+        self.timer.as_ref()?.read(&self.context).ok()
     }
 
     fn read(&self) -> Result<Image> {

@@ -1,12 +1,42 @@
 //! Ray against box and ray against triangle. Twin of `shaders/shared/intersect.wgsl`.
+//!
+//! The triangle test is that of S. Woop, C. Benthin, I. Wald, *Watertight Ray/Triangle Intersection* (JCGT 2013): a shear
+//! takes the ray to the z axis, and the signs of three edge functions in the plane tell what it meets. Their proof needs two
+//! triangles to compute the edge that they share with the same roundings. A GPU's compiler may contract products and sums
+//! as it likes, so here the test has a tolerance instead, and the proof is this.
+//!
+//! Let v = 2^-23, the relative error of an operation that rounds either way, as WGSL allows; division has 2.5 v.
+//! Contraction only leaves roundings out.
+//!
+//! 1. **Corners.** With p the rounded difference of a corner and the ray's origin, and S the rounded slopes of the ray, call
+//!    x* = p.x - S.x p.z and y* = p.y - S.y p.z, taken exactly, the corner seen along the ray. Nothing but the corner and
+//!    the ray enters, so triangles agree on the corners they share. A closed mesh stays closed, and a ray from inside
+//!    meets a triangle whose exact edge functions of x* and y* have one sign. It has to be shown that this triangle is
+//!    accepted, and that its boxes are.
+//! 2. **Triangle.** Let X, Y, Z be the largest |x|, |y|, |p.z| of its corners. The computed x is a product and a sum off x*:
+//!    at most v (Z + X). The corners reach both sides of the ray within twice that, [`CORNER_TOLERANCE`]. An edge function
+//!    is a difference of two products: at most v (2 Z (X + Y) + 4 X Y) off for its corners and 4 v X Y for its own three
+//!    operations. Twice the sum is the tolerance, [`EDGE_TOLERANCE`]; the factor two covers terms in v^2.
+//! 3. **Box.** The ray meets the triangle at a mean P of the corners' p, and t = P.z / direction.z. A box around the
+//!    triangle has min <= corner, and rounding is monotonic: the computed min - origin is at most P. By its reciprocal, its
+//!    product, and S, the plane's computed t is at most 6 v beyond t; that of the far plane at most 6 v before it. The
+//!    comparison allows 32 v, [`BOX_SLACK`]; the rest is for the rounding of t itself where a hit so far ends the interval.
+//! 4. **Zeros.** Where a direction is shorter along one axis than 2^-64 of the longest, it counts as that long, so nothing
+//!    is ever infinite. The ray is then misplaced by less than 2^-64 of its way, which the padding of the boxes exceeds.
 
 use glam::Vec3;
 
 use super::math::{dot3, max, min};
 use crate::device::layout::{Node, Triangle};
 
+/// See point 3.
 const BOX_SLACK: f32 = 1.0 - 1.0 / (1 << 18) as f32;
+/// See point 4: 2^-64 of the longest component, and at least 2^-120, whose reciprocal is finite.
+const LEAST_SHARE: f32 = 1.0 / (1_u128 << 64) as f32;
+const LEAST_COMPONENT: f32 = 1.0 / (1_u128 << 120) as f32;
+/// See point 2.
 const CORNER_TOLERANCE: f32 = 1.0 / (1 << 22) as f32;
+/// See point 2.
 const EDGE_TOLERANCE: f32 = 1.0 / (1 << 21) as f32;
 
 /// A ray as boxes see it.
@@ -16,13 +46,14 @@ pub(super) struct SlabRay {
     pub reciprocal: Vec3,
 }
 
-/// A ray as triangles see it: a shear that takes the ray to the z axis.
+/// A ray as triangles see it: the rows of a shear that takes it to the z axis, and of what takes points to t.
 #[derive(Clone, Copy)]
 pub(super) struct ShearRay {
     pub origin: Vec3,
     pub x_row: Vec3,
     pub y_row: Vec3,
     pub t_row: Vec3,
+    /// From t to the unit of the sheared x and y.
     pub depth_scale: f32,
 }
 
@@ -45,7 +76,7 @@ pub(super) fn max_component(v: Vec3) -> f32 {
 }
 
 pub(super) fn slab_ray(origin: Vec3, direction: Vec3) -> SlabRay {
-    let least = max(max_component(direction.abs()) * 5.421_011e-20, 7.523_164e-37); // 2^-64, 2^-120
+    let least = max(max_component(direction.abs()) * LEAST_SHARE, LEAST_COMPONENT);
     let reciprocal = |d: f32| {
         let bounded = max(d.abs(), least);
         if d < 0.0 { -1.0 / bounded } else { 1.0 / bounded }
@@ -53,6 +84,7 @@ pub(super) fn slab_ray(origin: Vec3, direction: Vec3) -> SlabRay {
     SlabRay { origin, reciprocal: Vec3::new(reciprocal(direction.x), reciprocal(direction.y), reciprocal(direction.z)) }
 }
 
+/// Whether the ray meets the box between `t_min`, which is not negative, and `t_max`, both included.
 #[inline]
 pub(super) fn meets_box(ray: &SlabRay, t_min: f32, t_max: f32, node: &Node) -> bool {
     let a = (Vec3::from_array(node.min) - ray.origin) * ray.reciprocal;
@@ -70,6 +102,11 @@ pub(super) fn reciprocal_power_of_two(value: f32) -> f32 {
     f32::from_bits((254 - exponent) << 23)
 }
 
+/// `extent` is the largest coordinate of the geometry and the origin. Sheared coordinates are scaled to about 1 by a power of
+/// two, exactly: products of two neither overflow nor vanish, whatever the geometry's unit.
+///
+/// A row has the number 1 (times that power) and a 0 besides the slope: a product with either is exact, so that a dot product
+/// rounds as a product and a sum do.
 pub(super) fn shear_ray(origin: Vec3, direction: Vec3, extent: f32) -> ShearRay {
     let scale = reciprocal_power_of_two(extent);
     let length = direction.abs();
@@ -95,6 +132,8 @@ pub(super) fn shear_ray(origin: Vec3, direction: Vec3, extent: f32) -> ShearRay 
     ShearRay { origin, x_row: x_row * scale, y_row: y_row * scale, t_row, depth_scale: depth.abs() * scale }
 }
 
+/// Where the ray meets the triangle, anywhere along its line. The point is on the triangle, tolerance or not: the weights
+/// are not negative, and t lies between those of the corners. A triangle without area, seen along the ray, is not met.
 #[inline]
 pub(super) fn cross_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<Crossing> {
     let a = Vec3::from_array(triangle.v0) - ray.origin;
@@ -136,4 +175,89 @@ pub(super) fn cross_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<Cros
     weights *= 1.0 / area;
     let t_hit = min(max(dot3(weights, t), min_component(t)), max_component(t));
     Some(Crossing { t: t_hit, u: weights.y, v: weights.z, back })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::compile::Needs;
+    use crate::trace::kernel::math::cross3;
+    use crate::trace::shader::EntryPoint;
+
+    fn triangle([v0, v1, v2]: [Vec3; 3]) -> Triangle {
+        Triangle { v0: v0.to_array(), primitive: 0, v1: v1.to_array(), _pad0: 0, v2: v2.to_array(), _pad1: 0 }
+    }
+
+    /// Directions to the neighbours of a cell, in each of which the winding must come out right.
+    fn directions() -> impl Iterator<Item = Vec3> {
+        let steps = [-1.0, 0.0, 1.0];
+        let all = steps.into_iter().flat_map(move |x| steps.map(|y| steps.map(|z| Vec3::new(x, y, z))));
+        all.flatten().filter(|&d| d != Vec3::ZERO)
+    }
+
+    #[test]
+    fn the_back_is_where_the_triangle_winds_clockwise() {
+        let corners = [Vec3::new(2.0, -0.5, -0.25), Vec3::new(-1.0, 2.5, 0.5), Vec3::new(-1.25, -1.5, 0.25)];
+        let normal = cross3(corners[1] - corners[0], corners[2] - corners[0]);
+        let center = (corners[0] + corners[1] + corners[2]) / 3.0;
+        let mut backs = 0;
+        for direction in directions().filter(|d| dot3(*d, normal).abs() > 0.1) {
+            let ray = shear_ray(center - direction * 4.0, direction, 8.0);
+            let crossing = cross_triangle(&ray, &triangle(corners)).expect("it aims at the centre");
+            assert!((crossing.t - 4.0).abs() < 1e-5 && (crossing.u - 1.0 / 3.0).abs() < 1e-5, "{direction}");
+            assert_eq!(crossing.back, dot3(direction, normal) > 0.0, "{direction}");
+            backs += usize::from(crossing.back);
+        }
+        assert!(backs > 5 && backs < 20, "{backs}");
+    }
+
+    #[test]
+    fn triangles_without_area_are_not_met() {
+        let [a, b] = [Vec3::new(-1.0, -1.0, 0.0), Vec3::new(1.0, 1.0, 0.0)];
+        for direction in directions() {
+            let ray = shear_ray(-2.0 * direction, direction, 4.0);
+            for corners in [[a, b, b], [a, a, a], [a, Vec3::ZERO, b], [Vec3::ZERO; 3]] {
+                assert!(cross_triangle(&ray, &triangle(corners)).is_none(), "{corners:?} along {direction}");
+            }
+        }
+    }
+
+    #[test]
+    fn nothing_is_met_without_a_direction() {
+        let corners = [Vec3::new(-1.0, -1.0, 1.0), Vec3::new(1.0, -1.0, 1.0), Vec3::new(0.0, 1.0, 1.0)];
+        for direction in [Vec3::ZERO, Vec3::NAN, Vec3::INFINITY] {
+            assert!(cross_triangle(&shear_ray(Vec3::ZERO, direction, 1.0), &triangle(corners)).is_none());
+        }
+    }
+
+    #[test]
+    fn wgsl_has_the_same_constants() {
+        let module = naga::front::wgsl::parse_str(&EntryPoint::ClosestHits.source(Needs::all())).expect("valid WGSL");
+        let expected = [
+            ("BOX_SLACK", BOX_SLACK),
+            ("LEAST_SHARE", LEAST_SHARE),
+            ("LEAST_COMPONENT", LEAST_COMPONENT),
+            ("CORNER_TOLERANCE", CORNER_TOLERANCE),
+            ("EDGE_TOLERANCE", EDGE_TOLERANCE),
+        ];
+        for (name, value) in expected {
+            let (_, constant) = module.constants.iter().find(|(_, c)| c.name.as_deref() == Some(name)).expect(name);
+            let wgsl = &module.global_expressions[constant.init];
+            assert!(
+                matches!(wgsl, naga::Expression::Literal(naga::Literal::F32(v)) if *v == value),
+                "{name}: {wgsl:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn reciprocal_powers_of_two_bring_numbers_to_one() {
+        for value in [1e-37, 0.3, 1.0, 1.5, 2.0, 1e30, 1.7e38] {
+            let scaled = value * reciprocal_power_of_two(value);
+            assert!((1.0..2.0).contains(&scaled), "{value} becomes {scaled}");
+        }
+        for value in [0.0, f32::MAX, f32::INFINITY] {
+            assert!(reciprocal_power_of_two(value).is_normal());
+        }
+    }
 }

@@ -1,0 +1,11 @@
+//! The acceleration structures: every hierarchy is whole, good, and finds what brute force finds.
+
+#![allow(clippy::panic, clippy::unwrap_used, reason = "a test fails by panicking")]
+
+mod hits;
+#[path = "../kernel_support/mod.rs"]
+mod kernel_support;
+mod meshes;
+mod quality;
+mod structure;
+mod top_level;

@@ -1,0 +1,138 @@
+//! Meshes that are hard on a builder.
+
+use glam::Vec3;
+use ropewalk::graph::Geometry;
+
+use crate::kernel_support::{Mesh, Random};
+
+pub(crate) fn geometry(mesh: &Mesh) -> Geometry {
+    Geometry::new(mesh.positions.clone(), mesh.indices.clone())
+}
+
+/// Every mesh with its name, of at most some thousand triangles.
+pub(crate) fn adversarial() -> Vec<(&'static str, Mesh)> {
+    vec![
+        ("one triangle", Mesh::soup(1, 1)),
+        ("two triangles", Mesh::soup(2, 2)),
+        ("sixteen triangles", Mesh::soup(3, 16)),
+        ("identical triangles", identical(1000)),
+        ("concentric triangles", concentric(300)),
+        ("triangles without area", without_area()),
+        ("needles", needles(600)),
+        ("triangles on a line", on_a_line(500)),
+        ("geometric series", geometric_series(1.1, 300)),
+        ("huge and tiny", huge_and_tiny()),
+        ("thin grid", grid(700, 1, 0, 0.0)),
+        ("flat grid at 0", grid(20, 20, 2, 0.0)),
+        ("flat grid at 3", grid(20, 20, 1, 3.0)),
+        ("far from the origin", offset(Mesh::soup(5, 600).scaled(50.0), Vec3::new(1e3, -2e3, 5e2))),
+        ("1e-20", Mesh::soup(6, 600).scaled(1e-20)),
+        ("1e20", Mesh::soup(7, 600).scaled(1e20)),
+    ]
+}
+
+/// Where the kernel's arithmetic ends: such boxes must still be built, but need not be hit.
+pub(crate) fn beyond_arithmetic() -> Vec<(&'static str, Mesh)> {
+    let series = geometric_series(2.0, 250);
+    let smallest = series.positions.iter().map(|p| p.max_element()).fold(f32::MAX, f32::min);
+    assert!(smallest < 1e-36 && series.positions.iter().any(|p| p.max_element() > 1e36));
+    vec![
+        ("series over all exponents", series),
+        ("subnormal", Mesh::soup(8, 400).scaled(1e-41)),
+        ("near the greatest float", Mesh::soup(9, 400).scaled(2e38)),
+        ("all of f32", {
+            let mut m = Mesh::soup(10, 400);
+            m.positions.iter_mut().for_each(|p| *p = p.map(|c| c.signum() * f32::MAX));
+            m
+        }),
+    ]
+}
+
+pub(crate) fn identical(count: usize) -> Mesh {
+    let positions = vec![Vec3::ZERO, Vec3::X, Vec3::new(0.25, 1.0, 0.5)];
+    Mesh { positions, indices: vec![[0, 1, 2]; count] }
+}
+
+/// All boxes have one centre.
+fn concentric(count: u32) -> Mesh {
+    from_triangles((1..=count).map(|i| {
+        let r = i as f32;
+        [Vec3::new(-r, -r, -r), Vec3::new(r, r, -r), Vec3::new(r, -r, r)]
+    }))
+}
+
+/// Good triangles between ones with equal corners and ones with three corners on a line.
+fn without_area() -> Mesh {
+    let mut mesh = Mesh::soup(4, 300);
+    let good = mesh.indices.clone();
+    for [a, b, c] in good.into_iter().step_by(6) {
+        let middle = mesh.positions.len() as u32;
+        mesh.positions.push(mesh.positions[a as usize].midpoint(mesh.positions[b as usize]));
+        mesh.indices.extend([[a, a, b], [c, b, c], [a, a, a], [a, middle, b]]);
+    }
+    mesh
+}
+
+fn needles(count: usize) -> Mesh {
+    let mut random = Random(11);
+    from_triangles((0..count).map(|_| {
+        let (from, to) = (random.in_cube(), random.in_cube());
+        [from, to, to + random.in_cube() * 1e-3]
+    }))
+}
+
+/// Along a space diagonal, where boxes are mostly empty.
+fn on_a_line(count: u32) -> Mesh {
+    from_triangles((0..count).map(|i| {
+        let p = Vec3::splat(i as f32);
+        [p, p + 1.0, p + Vec3::new(0.8, 0.1, 0.4)]
+    }))
+}
+
+/// Each triangle `ratio` times as large, and as far out, as the one before.
+fn geometric_series(ratio: f32, count: i32) -> Mesh {
+    from_triangles((0..count).map(|i| {
+        let size = ratio.powi(i - count / 2);
+        [Vec3::new(1.0, 0.0, 0.1) * size, Vec3::new(1.4, 0.1, 0.0) * size, Vec3::new(1.1, 0.4, 0.3) * size]
+    }))
+}
+
+fn huge_and_tiny() -> Mesh {
+    let mut mesh = Mesh::soup(12, 200).scaled(1e6);
+    append(&mut mesh, &Mesh::soup(13, 400));
+    append(&mut mesh, &Mesh::soup(14, 400).scaled(1e-3));
+    mesh
+}
+
+/// Two triangles a cell of a lattice in the plane where `axis` is `level`, lattice points at integers.
+pub(crate) fn grid(columns: u32, rows: u32, axis: usize, level: f32) -> Mesh {
+    let mut positions = Vec::new();
+    for row in 0..=rows {
+        for column in 0..=columns {
+            let mut p = Vec3::splat(level);
+            p[(axis + 1) % 3] = column as f32;
+            p[(axis + 2) % 3] = row as f32;
+            positions.push(p);
+        }
+    }
+    let cells = (0..rows).flat_map(|row| (0..columns).map(move |column| row * (columns + 1) + column));
+    let indices = cells.flat_map(|a| [[a, a + 1, a + columns + 2], [a, a + columns + 2, a + columns + 1]]).collect();
+    Mesh { positions, indices }
+}
+
+fn offset(mut mesh: Mesh, by: Vec3) -> Mesh {
+    mesh.positions.iter_mut().for_each(|p| *p += by);
+    mesh
+}
+
+fn append(mesh: &mut Mesh, other: &Mesh) {
+    let base = mesh.positions.len() as u32;
+    mesh.positions.extend(&other.positions);
+    mesh.indices.extend(other.indices.iter().map(|t| t.map(|v| v + base)));
+}
+
+fn from_triangles(triangles: impl Iterator<Item = [Vec3; 3]>) -> Mesh {
+    let positions: Vec<Vec3> = triangles.flatten().collect();
+    let indices = (0..positions.len() as u32 / 3).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
+    Mesh { positions, indices }
+}

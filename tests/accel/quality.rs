@@ -1,0 +1,111 @@
+//! How good the hierarchies are, against a builder that tries every split.
+
+use glam::DVec3;
+use ropewalk::accel::{Blas, BuildParams};
+use ropewalk::device::layout::{NONE, Node};
+use ropewalk::math::Aabb;
+
+use crate::kernel_support::Mesh;
+use crate::meshes::{adversarial, geometry};
+
+const PARAMS: BuildParams = BuildParams { max_leaf_size: 15, triangle_cost: 1.5 };
+
+fn half_area(aabb: &Aabb) -> f64 {
+    let d: DVec3 = aabb.max.as_dvec3() - aabb.min.as_dvec3();
+    d.x * d.y + d.y * d.z + d.z * d.x
+}
+
+fn union(boxes: &[Aabb]) -> Aabb {
+    boxes.iter().fold(Aabb::EMPTY, |a, b| a.union(*b))
+}
+
+/// The cost of the tree that splits greedily at the best of all planes between sorted centres, in units of fetching a node:
+/// both children of an inner node are fetched.
+fn full_sweep_cost(boxes: &mut [Aabb]) -> f64 {
+    let area = half_area(&union(boxes));
+    let triangle_cost = f64::from(PARAMS.triangle_cost);
+    let leaf_cost = area * boxes.len() as f64 * triangle_cost;
+    let mut best = (f64::INFINITY, 0, 0);
+    for axis in 0..3 {
+        boxes.sort_by(|a, b| a.center()[axis].total_cmp(&b.center()[axis]));
+        let mut right_areas = vec![0.0; boxes.len()];
+        let mut right = Aabb::EMPTY;
+        for i in (1..boxes.len()).rev() {
+            right = right.union(boxes[i]);
+            right_areas[i] = half_area(&right);
+        }
+        let mut left = Aabb::EMPTY;
+        for i in 1..boxes.len() {
+            left = left.union(boxes[i - 1]);
+            let cost = half_area(&left) * i as f64 + right_areas[i] * (boxes.len() - i) as f64;
+            if cost < best.0 {
+                best = (cost, axis, i);
+            }
+        }
+    }
+    let (cost, axis, middle) = best;
+    if boxes.len() == 1 || boxes.len() <= 15 && leaf_cost <= area * 2.0 + triangle_cost * cost {
+        return leaf_cost;
+    }
+    boxes.sort_by(|a, b| a.center()[axis].total_cmp(&b.center()[axis]));
+    let (left, right) = boxes.split_at_mut(middle);
+    2.0 * area + full_sweep_cost(left) + full_sweep_cost(right)
+}
+
+#[test]
+fn binning_loses_at_most_a_few_percent_to_a_full_sweep() {
+    let meshes = [
+        ("icosphere", Mesh::icosphere(4)),
+        ("displaced", Mesh::displaced_icosphere(4)),
+        ("soup", Mesh::soup(1, 5000)),
+        ("bumpy grid", bumpy_grid()),
+    ];
+    for (name, mesh) in meshes {
+        let mut boxes: Vec<Aabb> = (0..mesh.indices.len()).map(|i| Aabb::from_points(mesh.triangle(i))).collect();
+        let root = half_area(&union(&boxes));
+        let swept = 1.0 + full_sweep_cost(&mut boxes) / root;
+        let binned = Blas::build(&geometry(&mesh), &PARAMS).unwrap().stats().sah_cost;
+        println!("{name}: binned {binned:.2}, full sweep {swept:.2}, ratio {:.4}", binned / swept);
+        assert!(binned < 1.04 * swept, "{name}: {binned} against {swept}");
+        assert!(binned > 0.9 * swept, "{name}: {binned} against {swept}: one of the two costs is wrong");
+    }
+}
+
+fn bumpy_grid() -> Mesh {
+    let mut mesh = crate::meshes::grid(60, 40, 2, 0.0);
+    for p in &mut mesh.positions {
+        p.z = (p.x * 0.7).sin() * (p.y * 0.9).cos() * 3.0;
+    }
+    mesh
+}
+
+#[test]
+fn statistics_are_those_of_the_tree() {
+    let mut compared = 0;
+    for (name, mesh) in adversarial() {
+        let blas = Blas::build(&geometry(&mesh), &PARAMS).unwrap();
+        let stats = blas.stats();
+        let (cost, depth, leaves) = walk(&blas.nodes, 0, blas.nodes.len());
+        let cost = 1.0 + cost / node_area(&blas.nodes[0]);
+        assert!((stats.sah_cost / cost - 1.0).abs() < 1e-9, "{name}: {} against {cost}", stats.sah_cost);
+        assert_eq!((stats.depth, stats.leaf_count), (depth, leaves), "{name}");
+        compared += 1;
+    }
+    assert!(compared > 10);
+}
+
+fn node_area(node: &Node) -> f64 {
+    half_area(&Aabb { min: node.min.into(), max: node.max.into() })
+}
+
+/// Cost times root area, depth and leaves of the subtree in `nodes[index..end]`, by recursion.
+fn walk(nodes: &[Node], index: usize, end: usize) -> (f64, usize, usize) {
+    let node = &nodes[index];
+    if node.primitives.count() > 0 {
+        return (node_area(node) * f64::from(node.primitives.count()) * f64::from(PARAMS.triangle_cost), 1, 1);
+    }
+    let second = nodes[index + 1].escape_index as usize;
+    assert_eq!(if node.escape_index == NONE { nodes.len() } else { node.escape_index as usize }, end);
+    let (left, right) = (walk(nodes, index + 1, second), walk(nodes, second, end));
+    (2.0 * node_area(node) + left.0 + right.0, 1 + left.1.max(right.1), left.2 + right.2)
+}

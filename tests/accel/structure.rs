@@ -1,0 +1,177 @@
+//! Bottom-level structures are whole: every triangle in one leaf, every box around what is in it, escape indices in order.
+
+use glam::Vec3;
+use ropewalk::Error;
+use ropewalk::accel::{Blas, BuildParams, MAX_DEPTH, StructureError};
+use ropewalk::device::layout::{NONE, PrimitiveRange};
+use ropewalk::graph::Geometry;
+
+use crate::kernel_support::Mesh;
+use crate::meshes::{adversarial, beyond_arithmetic, geometry, grid, identical};
+
+const PARAMS: [BuildParams; 3] = [
+    BuildParams { max_leaf_size: 15, triangle_cost: 1.5 },
+    BuildParams::PAPER,
+    BuildParams { max_leaf_size: 15, triangle_cost: 0.1 },
+];
+
+/// The triangles that a ray can hit.
+fn with_area(mesh: &Mesh) -> Vec<u32> {
+    let distinct = |&i: &u32| {
+        let [a, b, c] = mesh.triangle(i as usize);
+        a != b && b != c && c != a
+    };
+    (0..mesh.indices.len() as u32).filter(distinct).collect()
+}
+
+fn check(name: &str, mesh: &Mesh, params: &BuildParams) {
+    let blas = Blas::build(&geometry(mesh), params).unwrap();
+    assert_eq!(blas.validate(), Ok(()), "{name}");
+    let mut primitives: Vec<u32> = blas.triangles.iter().map(|t| t.primitive).collect();
+    primitives.sort_unstable();
+    assert_eq!(primitives, with_area(mesh), "{name}");
+    for triangle in &blas.triangles {
+        let corners = mesh.triangle(triangle.primitive as usize).map(|p| p.to_array());
+        assert_eq!([triangle.v0, triangle.v1, triangle.v2], corners, "{name}");
+    }
+    let stats = blas.stats();
+    assert!(stats.depth <= MAX_DEPTH, "{name}: {} levels", stats.depth);
+    assert!(stats.largest_leaf <= params.max_leaf_size, "{name}: {} in a leaf", stats.largest_leaf);
+    assert_eq!(stats.primitive_count, blas.triangles.len(), "{name}");
+    assert_eq!(stats.bytes, 32 * blas.nodes.len() + 48 * blas.triangles.len());
+}
+
+#[test]
+fn adversarial_meshes() {
+    for (name, mesh) in adversarial().into_iter().chain(beyond_arithmetic()) {
+        assert!(!mesh.indices.is_empty());
+        for params in &PARAMS {
+            check(name, &mesh, params);
+        }
+    }
+}
+
+#[test]
+fn a_million_identical_triangles() {
+    let blas = Blas::build(&geometry(&identical(1_000_000)), &BuildParams::default()).unwrap();
+    let stats = blas.stats();
+    assert_eq!((stats.primitive_count, stats.largest_leaf), (1_000_000, 15.min(stats.largest_leaf)));
+    assert!(stats.depth <= 18, "halving a million down to 15 takes 17 levels, not {}", stats.depth);
+}
+
+#[test]
+fn nothing_to_hit_gives_no_nodes() {
+    let nothing = Geometry::default();
+    let unused = Geometry::new([Vec3::ONE; 3], []);
+    let without_area = Geometry::new([Vec3::ONE, Vec3::X], [[0, 0, 1], [1, 1, 1]]);
+    for geometry in [nothing, unused, without_area] {
+        let blas = Blas::build(&geometry, &BuildParams::default()).unwrap();
+        assert!(blas.nodes.is_empty() && blas.triangles.is_empty() && blas.bounds.is_empty());
+        assert_eq!((blas.validate(), blas.stats().node_count), (Ok(()), 0));
+    }
+}
+
+#[test]
+fn invalid_geometry_is_refused() {
+    let missing = Geometry::new([Vec3::ZERO, Vec3::X, Vec3::Y], [[0, 1, 2], [0, 1, 3]]);
+    let infinite = Geometry::new([Vec3::ZERO, Vec3::X, Vec3::splat(f32::INFINITY)], [[0, 1, 2]]);
+    let not_a_number = Geometry::new([Vec3::ZERO, Vec3::NAN, Vec3::Y], [[0, 1, 2]]);
+    for (geometry, at) in [(missing, ("indices", 1)), (infinite, ("positions", 2)), (not_a_number, ("positions", 1))] {
+        match Blas::build(&geometry, &BuildParams::default()) {
+            Err(Error::InvalidGeometry { what, index, .. }) => assert_eq!((what, index), at),
+            other => panic!("{other:?}"),
+        }
+    }
+}
+
+#[test]
+fn leaf_size_is_clamped() {
+    let mesh = Mesh::soup(3, 500);
+    for (asked, largest) in [(0, 1), (1, 1), (4, 4), (1000, 15)] {
+        let params = BuildParams { max_leaf_size: asked, triangle_cost: 1e-3 };
+        let blas = Blas::build(&geometry(&mesh), &params).unwrap();
+        assert_eq!(blas.stats().largest_leaf.max(largest), largest);
+    }
+}
+
+#[test]
+fn the_number_of_threads_changes_nothing() {
+    // More than 65,536 triangles, so that threads share the uppermost nodes.
+    let mut sphere = Mesh::displaced_icosphere(6);
+    sphere.indices.extend(vec![[5, 5, 6]; 100]);
+    for mesh in [sphere, grid(300, 200, 1, 0.5)] {
+        assert!(mesh.indices.len() > 1 << 16);
+        let build = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| Blas::build(&geometry(&mesh), &BuildParams::default()).unwrap())
+        };
+        let alone = build(1);
+        assert!(alone.nodes.len() > 10_000);
+        for threads in [2, 5, 16] {
+            assert!(build(threads) == alone, "{threads} threads");
+        }
+    }
+}
+
+#[test]
+fn a_subtree_starts_with_its_larger_child() {
+    let blas = Blas::build(&geometry(&Mesh::soup(1, 2000)), &BuildParams::default()).unwrap();
+    let area = |i: usize| {
+        let [x, y, z] = [0, 1, 2].map(|axis| blas.nodes[i].max[axis] - blas.nodes[i].min[axis]);
+        x * y + y * z + z * x
+    };
+    let inner = (0..blas.nodes.len()).filter(|&i| blas.nodes[i].primitives == PrimitiveRange::INNER);
+    let pairs: Vec<_> = inner.map(|i| (area(i + 1), area(blas.nodes[i + 1].escape_index as usize))).collect();
+    assert!(pairs.len() > 100);
+    // Padding may turn around boxes of equal area.
+    assert!(pairs.iter().all(|(first, second)| *first >= second * 0.9999));
+}
+
+/// Breaks a good hierarchy and returns what validation says.
+fn verdict(spoil: impl FnOnce(&mut Blas)) -> StructureError {
+    let mut blas = Blas::build(&geometry(&Mesh::soup(1, 300)), &BuildParams::default()).unwrap();
+    assert_eq!(blas.validate(), Ok(()));
+    spoil(&mut blas);
+    blas.validate().unwrap_err()
+}
+
+#[test]
+fn validation_finds_every_kind_of_fault() {
+    use StructureError::{Box, Escape, Leaf, Missing, Repeated};
+    let first_leaf = |blas: &Blas| blas.nodes.iter().position(|n| n.primitives != PrimitiveRange::INNER).unwrap();
+
+    // Escape order.
+    assert!(matches!(verdict(|b| b.nodes[1].escape_index = 1), Escape { node: 1, .. }));
+    assert!(matches!(verdict(|b| b.nodes[1].escape_index += 1), Escape { .. }));
+    assert!(matches!(verdict(|b| b.nodes[1].escape_index -= 1), Escape { .. }));
+    assert!(matches!(verdict(|b| b.nodes[0].escape_index = b.nodes.len() as u32), Escape { node: 0, .. }));
+    assert!(matches!(verdict(|b| b.nodes[3].escape_index = 1 << 30), Escape { node: 3, .. }));
+    assert!(matches!(verdict(|b| b.nodes[2].escape_index = NONE), Escape { node: 2, .. }));
+    assert!(matches!(verdict(|b| b.nodes.truncate(9)), Escape { .. }));
+    // Boxes.
+    assert!(matches!(verdict(|b| b.nodes[0].min[1] = b.nodes[0].max[1]), Box { node: 0, .. }));
+    assert!(matches!(verdict(|b| b.nodes[0].max[2] = f32::INFINITY), Box { node: 0, .. }));
+    assert!(matches!(verdict(|b| b.nodes[0].max[2] = f32::NAN), Box { node: 0, .. }));
+    assert!(matches!(verdict(|b| b.nodes[5].max[0] = b.nodes[0].max[0].next_up()), Box { node: 5, .. }));
+    let without_margin = |b: &mut Blas| {
+        let leaf = first_leaf(b);
+        let range = b.nodes[leaf].primitives;
+        let triangles = &b.triangles[range.first() as usize..][..range.count() as usize];
+        b.nodes[leaf].min[0] = triangles.iter().flat_map(|t| [t.v0[0], t.v1[0], t.v2[0]]).fold(f32::MAX, f32::min);
+    };
+    assert!(matches!(verdict(without_margin), Box { .. }));
+    // Primitives.
+    let shifted = |b: &mut Blas| {
+        let leaf = first_leaf(b);
+        b.nodes[leaf].primitives = PrimitiveRange::leaf(1, b.nodes[leaf].primitives.count());
+    };
+    assert!(matches!(verdict(shifted), Leaf { first: 1, .. }));
+    assert!(matches!(verdict(|b| b.triangles.truncate(299)), Leaf { .. }));
+    assert!(matches!(verdict(|b| b.triangles.push(b.triangles[7])), Repeated { .. }));
+    assert!(matches!(verdict(|b| b.triangles[0].primitive = b.triangles[1].primitive), Repeated { .. }));
+    let extra = |b: &mut Blas| {
+        b.triangles.push(b.triangles[7]);
+        b.triangles[300].primitive = 300;
+    };
+    assert!(matches!(verdict(extra), Missing { primitive: 300 }));
+}
