@@ -5,7 +5,7 @@
 mod kernel_support;
 
 use glam::{DAffine3, DQuat, DVec3};
-use kernel_support::oracle::{Candidate, Fault, Verdict, candidates, fault};
+use kernel_support::oracle::{Candidate, Fault, Verdict, candidates, fault, is_sure};
 use kernel_support::{Mesh, Placed, Random, arrays, tracers};
 use rayon::prelude::*;
 use ropewalk::device::DeviceArrays;
@@ -174,6 +174,36 @@ fn hits_lie_between_t_min_and_t_max() {
         ray.t_max = ray.t_min + random.unsigned() * 10.0 / length;
     }
     check("interval", &mut arrays, &rays, 1);
+}
+
+#[test]
+fn any_hit_agrees_with_f64() {
+    let meshes = [Mesh::soup(1, 40), Mesh::icosphere(1)];
+    let mut random = Random(6);
+    let mut arrays = arrays(&meshes, &placed(&mut random, 40, 4.0));
+    let mut rays = rays(&mut random, DVec3::ZERO, 5.0, 3000);
+    for ray in &mut rays {
+        ray.t_max = random.unsigned() * 20.0 / glam::Vec3::from_array(ray.direction).length();
+    }
+    for tracer in &mut tracers() {
+        tracer.upload(&mut arrays).unwrap();
+        let blocked = tracer.any_hits(&arrays, &rays, 3).unwrap();
+        assert_eq!(blocked.len(), rays.len());
+        let (mut surely_blocked, mut surely_free) = (0, 0);
+        for (ray, &blocked) in rays.iter().zip(&blocked) {
+            let candidates = candidates(&arrays, ray, 3);
+            let range = f64::from(ray.t_min)..=f64::from(ray.t_max);
+            let may_hit = |c: &Candidate| c.t + c.t_error >= *range.start() && c.t - c.t_error <= *range.end();
+            if candidates.iter().any(|c| is_sure(c, ray)) {
+                surely_blocked += 1;
+                assert!(blocked, "{ray:?}");
+            } else if !candidates.iter().any(may_hit) {
+                surely_free += 1;
+                assert!(!blocked, "{ray:?}");
+            }
+        }
+        assert!(surely_blocked > 300 && surely_free > 300, "{surely_blocked} blocked, {surely_free} free");
+    }
 }
 
 #[test]

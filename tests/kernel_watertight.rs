@@ -5,8 +5,7 @@
 mod kernel_support;
 
 use glam::{DAffine3, DQuat, DVec3, Vec3};
-use kernel_support::{Mesh, Placed, Random, arrays, tracers};
-use ropewalk::device::DeviceArrays;
+use kernel_support::{Builder, Mesh, Placed, Random, arrays_by, tracers};
 use ropewalk::device::layout::{NONE, Ray};
 use ropewalk::trace::{Cpu, Emulated, Tracer};
 
@@ -86,17 +85,20 @@ fn no_ray_escapes_closed_meshes_gpu() {
     }
 }
 
-/// Traces rays that must all hit at a t that `is_right` accepts.
-fn all_hit(arrays: &mut DeviceArrays, rays: &[Ray], is_right: impl Fn(f32) -> bool) {
+/// Traces rays that must all hit the mesh, at a t that `is_right` accepts.
+fn all_hit(mesh: &Mesh, rays: &[Ray], is_right: impl Fn(f32) -> bool) {
     assert!(!rays.is_empty());
-    for tracer in &mut tracers() {
-        tracer.upload(arrays).unwrap();
-        let hits = tracer.closest_hits(arrays, rays, 1).unwrap();
-        let blocked = tracer.any_hits(arrays, rays, 1).unwrap();
-        for ((ray, hit), blocked) in rays.iter().zip(&hits).zip(blocked) {
-            let device = tracer.device().executor;
-            assert!(hit.instance != NONE && is_right(hit.t), "{device}: {ray:?} hits {hit:?}");
-            assert!(blocked, "{device}: {ray:?} meets nothing");
+    for builder in Builder::BOTH {
+        let mut arrays = arrays_by(builder, std::slice::from_ref(mesh), &[Placed::new(0, DAffine3::IDENTITY)]);
+        for tracer in &mut tracers() {
+            tracer.upload(&mut arrays).unwrap();
+            let hits = tracer.closest_hits(&arrays, rays, 1).unwrap();
+            let blocked = tracer.any_hits(&arrays, rays, 1).unwrap();
+            for ((ray, hit), blocked) in rays.iter().zip(&hits).zip(blocked) {
+                let device = tracer.device().executor;
+                assert!(hit.instance != NONE && is_right(hit.t), "{device}, {builder:?}: {ray:?} hits {hit:?}");
+                assert!(blocked, "{device}, {builder:?}: {ray:?} meets nothing");
+            }
         }
     }
 }

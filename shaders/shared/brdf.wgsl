@@ -27,7 +27,8 @@ fn fresnel_dielectric(cosine: f32, eta: f32) -> f32 {
 
 // The cosine of the angle of refraction (Snell's law), or 0 where reflection is total.
 fn refracted_cosine(cosine: f32, eta: f32) -> f32 {
-    return sqrt(max(1.0 - (eta * eta) * (1.0 - cosine * cosine), 0.0));
+    // 1 - eta^2 sin^2, without the cancellation at eta = 1
+    return sqrt(max((1.0 - eta) * (1.0 + eta) + (eta * cosine) * (eta * cosine), 0.0));
 }
 
 // (1 - cosine)^5: Schlick's approximation of how reflectance goes to 1.
@@ -35,6 +36,11 @@ fn schlick(cosine: f32) -> f32 {
     let x = clamp(1.0 - cosine, 0.0, 1.0);
     let square = x * x;
     return (square * square) * x;
+}
+
+// How much of the rise of reflectance towards grazing angles is left on a rough surface: a fit to the microfacets' albedo.
+fn polish(roughness: f32) -> f32 {
+    return 1.0 - roughness * (0.1 + 0.86 * roughness);
 }
 
 // How a surface divides the light that comes along the line of view; with what it absorbs, the sum is 1.
@@ -47,15 +53,15 @@ struct Shares {
     matt: vec3<f32>,
 }
 
-// `eta` is as in fresnel_dielectric. Roughness flattens the rise of reflectance towards grazing angles.
+// `eta` is as in fresnel_dielectric.
 fn divide_light(surface: Surface, cosine: f32, eta: f32) -> Shares {
     let base_color = surface.base_color.xyz;
-    let polish = 1.0 - surface.roughness;
-    let metal = mix3(base_color, vec3<f32>(1.0), schlick(cosine) * polish);
+    let rise = polish(surface.roughness);
+    let metal = mix3(base_color, vec3<f32>(1.0), schlick(cosine) * rise);
     var dielectric = fresnel_dielectric(cosine, eta);
     if dielectric < 1.0 {
         let normal_incidence = normal_reflectance(surface.ior);
-        dielectric = normal_incidence + (dielectric - normal_incidence) * polish;
+        dielectric = normal_incidence + (dielectric - normal_incidence) * rise;
     }
     let entering = (1.0 - surface.metallic) * (1.0 - dielectric);
     return Shares(
@@ -66,6 +72,7 @@ fn divide_light(surface: Surface, cosine: f32, eta: f32) -> Shares {
 }
 
 // The light that a surface reflects to the viewer of light from one direction, times that direction's cosine. All unit vectors.
+// The model is glTF's, but for one thing: what is mirrored towards the viewer is missing from the matt part there, too.
 fn reflect_light(surface: Surface, to_viewer: vec3<f32>, to_light: vec3<f32>) -> vec3<f32> {
     let n_l = dot3(surface.normal, to_light);
     if n_l <= 0.0 {
@@ -76,10 +83,12 @@ fn reflect_light(surface: Surface, to_viewer: vec3<f32>, to_light: vec3<f32>) ->
     let n_h = clamp(dot3(surface.normal, half_way), 0.0, 1.0);
     let edge = schlick(dot3(to_viewer, half_way));
 
-    let dielectric = normal_reflectance(surface.ior) * (1.0 - edge) + edge;
+    let f0 = normal_reflectance(surface.ior);
+    let dielectric = f0 + (1.0 - f0) * edge;
     let metal = mix3(surface.base_color.xyz, vec3<f32>(1.0), edge);
     let fresnel = mix3(vec3<f32>(dielectric), metal, surface.metallic);
-    let matt = (1.0 - surface.metallic) * (1.0 - dielectric) * (1.0 - surface.transmission);
+    let towards_viewer = f0 + (1.0 - f0) * (schlick(n_v) * polish(surface.roughness));
+    let matt = (1.0 - surface.metallic) * (1.0 - max(dielectric, towards_viewer)) * (1.0 - surface.transmission);
 
     let roughness = max(surface.roughness, HIGHLIGHT_ROUGHNESS);
     let specular = fresnel * microfacets(n_l, n_v, n_h, roughness * roughness);

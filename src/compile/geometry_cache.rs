@@ -40,6 +40,8 @@ pub(super) struct Entry {
     normals: Range<u32>,
     tex_coords: [Range<u32>; 2],
     colors: Range<u32>,
+    /// Triangles of the geometry; more than `triangles` where some cannot be hit.
+    pub(super) triangle_count: usize,
     /// Of its triangles, local space.
     pub(super) bounds: Aabb,
 }
@@ -105,9 +107,9 @@ impl GeometryCache {
         self.entries.get(key)
     }
 
-    /// Triangles in all bottom-level structures, each counted once.
+    /// Triangles of all geometries, each counted once.
     pub(super) fn triangle_count(&self) -> usize {
-        self.entries.values().map(|e| e.triangles.len()).sum()
+        self.entries.values().map(|entry| entry.triangle_count).sum()
     }
 
     /// How many there are.
@@ -149,6 +151,7 @@ impl GeometryCache {
             normals,
             tex_coords,
             colors,
+            triangle_count: geometry.indices.len(),
             bounds: blas.bounds,
         })
     }

@@ -126,7 +126,7 @@ impl InstanceTable {
     pub(super) fn totals(&self, geometries: &GeometryCache) -> Totals {
         let mut totals = Totals::default();
         for (member, bounds) in self.members.iter().zip(&self.boxes) {
-            let triangles = geometries.get(member.geometry).map_or(0, |entry| entry.triangles.len());
+            let triangles = geometries.get(member.geometry).map_or(0, |entry| entry.triangle_count);
             match (bounds.is_empty(), triangles) {
                 (false, _) => {
                     totals.instances += 1;
@@ -137,11 +137,6 @@ impl InstanceTable {
             }
         }
         totals
-    }
-
-    /// The box around all of them, relative to the render origin.
-    pub(super) fn bounds(&self) -> Aabb {
-        self.boxes.iter().fold(Aabb::EMPTY, |all, &b| all.union(b))
     }
 }
 

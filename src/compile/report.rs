@@ -66,7 +66,7 @@ pub struct CompileReport {
     pub instances: usize,
     /// Visible geometry nodes that no ray can hit, because their matrix is singular or beyond f32.
     pub singular_instances: usize,
-    /// Triangles in the bottom-level structures, each counted once.
+    /// Triangles of the visible geometries, each counted once.
     pub triangles: usize,
     /// Triangles in the scene, counted for each instance.
     pub scene_triangles: usize,

@@ -3,53 +3,52 @@
 use std::borrow::Cow;
 use std::collections::HashMap;
 
-use super::{Document, uri};
+use super::Document;
+use super::uri::{self, Location};
 use crate::Result;
 
 /// The bytes of every buffer, and the check that buffer views lie within them.
 pub(super) struct Buffers<'a> {
     /// The data of each buffer, at least as long as declared; `None` for a buffer that has none, or shares that of another.
     data: Vec<Option<Cow<'a, [u8]>>>,
-    /// The first buffer with the same URI, for each buffer: the same data under two numbers.
+    /// The first buffer at the same location, for each buffer: the same data under two numbers.
     same_as: Vec<usize>,
     /// Bytes read from files beside the glTF file.
     pub(super) external_bytes: u64,
 }
 
 impl<'a> Buffers<'a> {
-    /// Reads every buffer, each URI once. `bin` is the binary chunk of a GLB file.
+    /// Reads every buffer, each file once. `bin` is the binary chunk of a GLB file.
     pub(super) fn load(document: &Document, bin: Option<&'a [u8]>) -> Result<Self> {
-        let mut longest: HashMap<&str, (usize, u64)> = HashMap::new();
-        let mut same_as = Vec::new();
+        let mut buffers = Self { data: Vec::new(), same_as: Vec::new(), external_bytes: 0 };
+        // 1. Which are the same, and how much of each is needed.
+        let mut needed: HashMap<Location, (usize, u64)> = HashMap::new();
         for (i, buffer) in document.buffers.iter().enumerate() {
-            let first = buffer.uri.as_deref().map_or(i, |uri| {
-                let (first, length) = longest.entry(uri).or_insert((i, 0));
-                *length = buffer.byte_length.0.max(*length);
-                *first
-            });
-            same_as.push(first);
+            let Some(uri) = &buffer.uri else {
+                buffers.same_as.push(i);
+                continue;
+            };
+            let location = uri::locate(uri, document.path).map_err(|e| document.fault(format!("/buffers/{i}"), e))?;
+            let (first, length) = needed.entry(location).or_insert((i, 0));
+            *length = buffer.byte_length.0.max(*length);
+            buffers.same_as.push(*first);
         }
 
-        let mut buffers = Self { data: Vec::new(), same_as, external_bytes: 0 };
-        for (i, buffer) in document.buffers.iter().enumerate() {
-            let data = match buffer.uri.as_deref() {
-                Some(uri) if buffers.same_as[i] == i => Some(Cow::Owned(buffers.read(document, i, longest[uri].1)?)),
-                None if i == 0 => bin.map(Cow::Borrowed),
-                // Extensions leave buffers without data, as a place for what they decompress.
-                _ => None,
-            };
-            buffers.data.push(data);
-            buffers.check_length(document, i)?;
+        // 2. The data. Extensions leave buffers without, as a place for what they decompress.
+        buffers.data.resize(document.buffers.len(), None);
+        if let Some(data) = buffers.data.first_mut().filter(|_| document.buffers[0].uri.is_none()) {
+            *data = bin.map(Cow::Borrowed);
         }
+        for (location, (i, length)) in needed {
+            let data = location.read(length).map_err(|e| document.fault(format!("/buffers/{i}"), e))?;
+            buffers.external_bytes += data.len() as u64;
+            buffers.data[i] = Some(Cow::Owned(data));
+        }
+
+        // 3. That everything lies within it.
+        (0..document.buffers.len()).try_for_each(|i| buffers.check_length(document, i))?;
         (0..document.views.len()).try_for_each(|i| buffers.check_view(document, i))?;
         Ok(buffers)
-    }
-
-    fn read(&mut self, document: &Document, index: usize, limit: u64) -> Result<Vec<u8>> {
-        let uri = document.buffers[index].uri.as_deref().unwrap_or_default();
-        let bytes = uri::read(uri, document.path, limit).map_err(|e| document.fault(format!("/buffers/{index}"), e))?;
-        self.external_bytes += bytes.len() as u64;
-        Ok(bytes)
     }
 
     fn check_length(&self, document: &Document, index: usize) -> Result<()> {

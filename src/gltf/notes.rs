@@ -1,5 +1,7 @@
 //! Collects what is not honoured; finds that part of it that shows in the JSON alone.
 
+use std::collections::BTreeSet;
+
 use ::gltf::json;
 use json::texture::{MagFilter, MinFilter};
 use json::validation::Checked::Valid;
@@ -7,7 +9,6 @@ use serde_json::Value;
 
 use super::Document;
 use super::document::EXTENSIONS;
-use super::references::push_key;
 use super::report::NotHonoured;
 
 /// Everything that the import does not honour, in the order it was met.
@@ -55,38 +56,45 @@ impl Notes {
         // The object itself, not the part of it that the pointer may lead to.
         let owner = object.match_indices('/').nth(2).map_or(&object[..], |(end, _)| &object[..end]);
         let name = document.value.pointer(owner).and_then(|o| o.get("name")).and_then(Value::as_str);
-        let name = name.unwrap_or_default().to_owned();
+        let name = shorten(name.unwrap_or_default());
         self.list.push(NotHonoured { feature: feature.into(), object, name, effect: effect.into() });
     }
 
-    /// Every extension on any object, but for those that are honoured.
+    /// Every extension in the file but for those that are honoured, once for each object of the file's top-level arrays.
     fn add_extensions(&mut self, document: &Document) {
-        let mut pending = vec![(String::new(), &document.value)];
-        while let Some((pointer, value)) = pending.pop() {
-            if let Some(extensions) = value.get("extensions").and_then(Value::as_object) {
-                for name in extensions.keys().filter(|name| !EXTENSIONS.contains(&name.as_str())) {
-                    let object = if pointer.is_empty() { "/" } else { &pointer };
-                    self.add(document, name.as_str(), object, instead(name));
+        let members = document.value.as_object().into_iter().flatten();
+        for (key, member) in members {
+            match (&**key, member) {
+                ("extensions", Value::Object(extensions)) => {
+                    let names = extensions.keys().map(|name| &**name).filter(|name| !EXTENSIONS.contains(name));
+                    names.for_each(|name| self.add(document, shorten(name), "/", instead(name)));
                 }
+                (key, Value::Array(elements)) => {
+                    for (i, element) in elements.iter().enumerate() {
+                        let pointer = format!("/{}/{i}", shorten(key));
+                        self.add_extensions_of(document, element, &pointer);
+                    }
+                }
+                (key, member) => self.add_extensions_of(document, member, &format!("/{}", shorten(key))),
             }
-            let at = |key: &str| {
-                let mut at = pointer.clone();
-                push_key(&mut at, key);
-                at
-            };
-            let nested = |value: &Value| value.is_object() || value.is_array();
+        }
+    }
+
+    /// The extensions of an object and of everything in it.
+    fn add_extensions_of(&mut self, document: &Document, object: &Value, pointer: &str) {
+        let mut names = BTreeSet::new();
+        let mut pending = vec![object];
+        while let Some(value) = pending.pop() {
+            if let Some(extensions) = value.get("extensions").and_then(Value::as_object) {
+                names.extend(extensions.keys().map(|name| &**name).filter(|name| !EXTENSIONS.contains(name)));
+            }
             match value {
-                Value::Array(elements) => {
-                    let children = elements.iter().enumerate().rev().filter(|(_, child)| nested(child));
-                    pending.extend(children.map(|(i, child)| (at(&i.to_string()), child)));
-                }
-                Value::Object(members) => {
-                    let children = members.iter().rev().filter(|(_, child)| nested(child));
-                    pending.extend(children.map(|(key, child)| (at(key), child)));
-                }
+                Value::Array(elements) => pending.extend(elements),
+                Value::Object(members) => pending.extend(members.values()),
                 _ => {}
             }
         }
+        names.into_iter().for_each(|name| self.add(document, shorten(name), pointer, instead(name)));
     }
 
     /// One note for all samplers: a ray reads the full image by one filter, near or far.
@@ -112,6 +120,14 @@ impl Notes {
 
 fn elements<'a>(root: &'a Value, key: &str) -> impl Iterator<Item = (usize, &'a Value)> {
     root.get(key).and_then(Value::as_array).into_iter().flatten().enumerate()
+}
+
+/// At most 80 characters of a name from the file: one long name on an object with many notes must not multiply.
+fn shorten(name: &str) -> String {
+    match name.char_indices().nth(80) {
+        Some((end, _)) => format!("{}...", &name[..end]),
+        None => name.to_owned(),
+    }
 }
 
 /// What an extension's absence means, in words.

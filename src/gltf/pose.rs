@@ -51,6 +51,9 @@ impl Pose {
     ) -> Result<Self> {
         let targets = primitive.targets.as_deref().unwrap_or_default();
         let same = |index: Option<json::Index<json::Accessor>>| index.map(|index| same_as[index.value()]);
+        if weights.iter().take(targets.len()).any(|weight| !weight.is_finite()) {
+            return Err(document.fault(pointer, "a weight of its morph targets is beyond the range of numbers"));
+        }
         let morph = |(target, &weight): (&json::mesh::MorphTarget, &f32)| Morph {
             weight: weight.to_bits(),
             positions: same(target.positions),

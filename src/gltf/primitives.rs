@@ -82,9 +82,12 @@ impl Primitives {
             }
             None => None,
         };
-        let weights = weights(document, node, mesh)?;
-        let mut shown = Vec::with_capacity(self.recipes[mesh].len());
+        let weights = weights(document, node, mesh);
+        let mut shown = Vec::new();
         for (p, primitive) in document.meshes[mesh].primitives.iter().enumerate() {
+            // Also where nothing comes of it: nodes times primitives times targets is work, if not memory.
+            let work = 1 + primitive.targets.as_ref().map_or(0, Vec::len);
+            budget.charge(work, size_of::<Shown>(), document, || pointer(mesh, p))?;
             let Some(recipe) = self.recipes[mesh][p].clone() else { continue };
             let pointer = pointer(mesh, p);
             let place = (recipe.positions(), &*pointer);
@@ -145,25 +148,18 @@ fn note_skip(document: &Document, skip: &Skip, pointer: String, notes: &mut Note
 }
 
 /// The weights of the morph targets of a node's mesh.
-fn weights<'d>(document: &'d Document, node: usize, mesh: usize) -> Result<&'d [f32]> {
-    let (weights, pointer) = match (&document.nodes[node].weights, &document.meshes[mesh].weights) {
-        (Some(weights), _) => (weights, format!("/nodes/{node}/weights")),
-        (None, Some(weights)) => (weights, format!("/meshes/{mesh}/weights")),
-        (None, None) => return Ok(&[]),
-    };
-    if weights.iter().all(|weight| weight.is_finite()) {
-        return Ok(weights);
-    }
-    Err(document.fault(pointer, "are beyond the range of numbers"))
+fn weights<'d>(document: &'d Document, node: usize, mesh: usize) -> &'d [f32] {
+    let weights = document.nodes[node].weights.as_ref().or(document.meshes[mesh].weights.as_ref());
+    weights.map_or(&[], Vec::as_slice)
 }
 
 /// Checks the joints of every skinned node, shown or not, triangles or not.
 fn check_all_joints(document: &Document, accessors: &Accessors, same_as: &[usize], budget: &mut Budget) -> Result<()> {
+    let skinned = |node: &json::Node| Some((node.mesh?.value(), document.skins[node.skin?.value()].joints.len()));
+    let skinned: HashSet<(usize, usize)> = document.nodes.iter().filter_map(skinned).collect();
     let mut checked = HashSet::new();
-    for node in &document.nodes {
-        let (Some(mesh), Some(skin)) = (node.mesh, node.skin) else { continue };
-        let joint_count = document.skins[skin.value()].joints.len();
-        for primitive in &document.meshes[mesh.value()].primitives {
+    for (mesh, joint_count) in skinned {
+        for primitive in &document.meshes[mesh].primitives {
             let joints = (0..).map_while(|set| primitive.attributes.get(&Valid(Semantic::Joints(set))));
             for joints in joints.map(|index| same_as[index.value()]) {
                 if checked.insert((joints, joint_count)) {

@@ -44,28 +44,41 @@ const REFERENCES: &[(&str, &str)] = &[
     ("textures/*/extensions/*/source", "images"),
 ];
 
+/// Where materials and their extensions, known or not, have members: those called "...Texture" refer to a texture by `index`.
+const MATERIAL_MEMBERS: &[&str] =
+    &["materials/*/*", "materials/*/pbrMetallicRoughness/*", "materials/*/extensions/*/*"];
+
 /// Checks that every index is a whole number below the length of the array it points into. O(size of the document).
 pub(super) fn check(root: &Value, path: &Path) -> Result<()> {
-    let check_index = |pointer: &str, index: &Value, target: &str| {
-        let length = root.pointer(&format!("/{target}")).and_then(Value::as_array).map_or(0, Vec::len);
-        check_range(index, length, target).map_err(|cause| fault(path, pointer, cause))
-    };
-    for (pattern, target) in REFERENCES {
+    let visit_all = |pattern: &str, found: &mut dyn FnMut(&str, &Value) -> Result<()>| {
         let parts: Vec<&str> = pattern.split('/').collect();
-        visit(root, &parts, &mut String::new(), &mut |pointer, index| check_index(pointer, index, target))?;
+        visit(root, &parts, &mut String::new(), &mut |pointer, value| found(pointer, value))
+    };
+    let length_of = |array: &str| root.pointer(&format!("/{array}")).and_then(Value::as_array).map_or(0, Vec::len);
+
+    for (pattern, target) in REFERENCES {
+        let length = length_of(target);
+        visit_all(pattern, &mut |pointer, index| {
+            check_range(index, length, target).map_err(|cause| fault(path, pointer, cause))
+        })?;
+    }
+
+    let length = length_of("textures");
+    for pattern in MATERIAL_MEMBERS {
+        visit_all(pattern, &mut |pointer, member| match member.get("index") {
+            Some(index) if pointer.ends_with("Texture") => {
+                check_range(index, length, "textures").map_err(|cause| fault(path, format!("{pointer}/index"), cause))
+            }
+            _ => Ok(()),
+        })?;
     }
 
     // An animation's channels point into its own samplers.
-    visit(root, &["animations", "*"], &mut String::new(), &mut |pointer, animation| {
+    visit_all("animations/*", &mut |pointer, animation| {
         let length = animation.get("samplers").and_then(Value::as_array).map_or(0, Vec::len);
         visit(animation, &["channels", "*", "sampler"], &mut pointer.to_owned(), &mut |pointer, index| {
             check_range(index, length, "samplers of the animation").map_err(|cause| fault(path, pointer, cause))
         })
-    })?;
-
-    // A material and its extensions, known or not, refer to textures by members called "...Texture".
-    visit(root, &["materials", "*"], &mut String::new(), &mut |pointer, material| {
-        texture_indices(material, pointer).iter().try_for_each(|(at, index)| check_index(at, index, "textures"))
     })
 }
 
@@ -102,27 +115,8 @@ fn visit(
     }
 }
 
-/// The `index` of every texture that a material refers to, with its pointer.
-fn texture_indices<'a>(material: &'a Value, pointer: &str) -> Vec<(String, &'a Value)> {
-    let mut indices = Vec::new();
-    let mut pending = vec![(pointer.to_owned(), material)];
-    while let Some((pointer, value)) = pending.pop() {
-        for (key, child) in value.as_object().into_iter().flatten() {
-            let mut at = pointer.clone();
-            push_key(&mut at, key);
-            if let Some(index) = child.get("index").filter(|_| key.ends_with("Texture")) {
-                indices.push((format!("{at}/index"), index));
-            }
-            if child.is_object() {
-                pending.push((at, child));
-            }
-        }
-    }
-    indices
-}
-
 /// Appends a key to a JSON pointer (RFC 6901).
-pub(super) fn push_key(pointer: &mut String, key: &str) {
+fn push_key(pointer: &mut String, key: &str) {
     pointer.push('/');
     pointer.push_str(&key.replace('~', "~0").replace('/', "~1"));
 }
@@ -164,7 +158,7 @@ mod tests {
 
     #[test]
     fn textures_of_any_material_extension_are_checked() {
-        let document = |index: u32| json!({"textures": [{}], "materials": [{"extensions": {"X": {"glowTexture": {"index": index}}}}]});
+        let document = |index: u32| json!({"textures": [{}], "materials": [{"extensions": {"X": {"glowTexture": {"index": index}}}, "emissiveTexture": {"index": 0}}]});
         assert!(check(&document(0), Path::new("a.gltf")).is_ok());
         let error = check(&document(1), Path::new("a.gltf")).unwrap_err().to_string();
         assert!(error.contains("/materials/0/extensions/X/glowTexture/index"), "{error}");

@@ -8,7 +8,8 @@ use ::image::{ImageFormat, ImageReader, Limits};
 use rayon::prelude::*;
 
 use super::notes::Notes;
-use super::{Buffers, Document, uri};
+use super::uri::{self, Location};
+use super::{Buffers, Document};
 use crate::Result;
 use crate::graph::Texture;
 
@@ -28,10 +29,12 @@ pub(super) struct Images<'d> {
     slots: HashMap<Source<'d>, usize>,
 }
 
+/// Where an image is: images with equal sources are one texture.
 #[derive(PartialEq, Eq, Hash)]
 enum Source<'d> {
     View(usize),
-    Uri(&'d str),
+    Location(Location<'d>),
+    Nowhere(usize),
     Nothing,
 }
 
@@ -40,7 +43,7 @@ impl<'d> Images<'d> {
     pub(super) fn request(&mut self, document: &'d Document, texture: usize, notes: &mut Notes) -> usize {
         let image = document.textures[texture].source.value();
         let image = (image < document.images.len()).then_some(image);
-        let source = match image.map(|i| &document.images[i]) {
+        let source = match image {
             None => {
                 notes.add(
                     document,
@@ -50,11 +53,7 @@ impl<'d> Images<'d> {
                 );
                 Source::Nothing
             }
-            Some(image) => match (image.buffer_view, &image.uri) {
-                (Some(view), _) => Source::View(view.value()),
-                (None, Some(uri)) => Source::Uri(uri),
-                (None, None) => Source::Nothing,
-            },
+            Some(i) => source_of(document, i),
         };
         *self.slots.entry(source).or_insert_with(|| {
             self.wanted.push(image);
@@ -107,13 +106,24 @@ fn instead(cause: &str) -> String {
     format!("{cause}; a magenta checkerboard is shown instead")
 }
 
+fn source_of<'d>(document: &'d Document, image: usize) -> Source<'d> {
+    let object = &document.images[image];
+    match (object.buffer_view, &object.uri) {
+        (Some(view), _) => Source::View(view.value()),
+        (None, Some(uri)) => uri::locate(uri, document.path).map_or(Source::Nowhere(image), Source::Location),
+        (None, None) => Source::Nowhere(image),
+    }
+}
+
 /// An image's file; the inner error says why there is none.
 fn read<'b>(document: &Document, buffers: &'b Buffers, image: usize) -> Result<Result<Cow<'b, [u8]>, String>> {
     let image = &document.images[image];
     Ok(match (image.buffer_view, &image.uri) {
         (Some(view), _) if !buffers.has_data(document, view.value()) => Err("its buffer has no data".into()),
         (Some(view), _) => Ok(Cow::Borrowed(buffers.view(document, view.value())?)),
-        (None, Some(uri)) => uri::read(uri, document.path, MAX_FILE_BYTES).map(Cow::Owned),
+        (None, Some(uri)) => {
+            uri::locate(uri, document.path).and_then(|location| location.read(MAX_FILE_BYTES)).map(Cow::Owned)
+        }
         (None, None) => Err("has neither a bufferView nor a URI".into()),
     })
 }
@@ -131,7 +141,14 @@ fn charge(bytes: &[u8], budget: &mut u64) -> Result<(), String> {
 }
 
 fn decode(bytes: &[u8]) -> Result<Texture, String> {
-    let image = reader(bytes)?.decode().map_err(|e| e.to_string())?.into_rgba8();
+    let mut limits = Limits::default();
+    limits.max_image_width = Some(MAX_SIDE);
+    limits.max_image_height = Some(MAX_SIDE);
+    // The largest image there may be, at 16 bits a channel.
+    limits.max_alloc = Some(u64::from(MAX_SIDE) * u64::from(MAX_SIDE) * size_of::<[u16; 4]>() as u64);
+    let mut reader = reader(bytes)?;
+    reader.limits(limits);
+    let image = reader.decode().map_err(|e| e.to_string())?.into_rgba8();
     let (width, height) = image.dimensions();
     let (texels, _) = image.as_raw().as_chunks::<4>();
     Ok(Texture { width, height, texels: texels.into() })
@@ -142,14 +159,7 @@ fn reader(bytes: &[u8]) -> Result<ImageReader<Cursor<&[u8]>>, String> {
     let Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg)) = ::image::guess_format(bytes) else {
         return Err("is neither PNG nor JPEG".into());
     };
-    let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
-    let mut limits = Limits::default();
-    limits.max_image_width = Some(MAX_SIDE);
-    limits.max_image_height = Some(MAX_SIDE);
-    // The largest image there may be, at 16 bits a channel.
-    limits.max_alloc = Some(u64::from(MAX_SIDE) * u64::from(MAX_SIDE) * size_of::<[u16; 4]>() as u64);
-    reader.limits(limits);
-    Ok(reader)
+    Ok(ImageReader::with_format(Cursor::new(bytes), format))
 }
 
 /// Cannot be missed, and cannot be meant.

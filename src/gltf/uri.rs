@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 use std::fs::File;
 use std::io::{self, Read};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use base64::Engine;
 use base64::alphabet;
@@ -18,14 +18,23 @@ const BASE64: GeneralPurpose = GeneralPurpose::new(
         .with_decode_allow_trailing_bits(true),
 );
 
-/// The bytes that `uri` stands for, at most `limit` of those of a file; or why there are none.
+/// Where a URI leads to. Equal locations hold equal bytes, however they are spelled.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub(super) enum Location<'u> {
+    /// The part of a data URI after its scheme.
+    Data(&'u str),
+    /// A file, by its canonical path.
+    File(PathBuf),
+}
+
+/// Where `uri` leads to, or why nowhere.
 ///
 /// A relative URI is a file, looked for from the folder of the glTF file `base`; `..` may lead out of it, as in other importers.
-/// Absolute paths and every scheme but `data:` are refused: an import reads no network and nothing that the file's
-/// author could not have put beside it.
-pub(super) fn read(uri: &str, base: &Path, limit: u64) -> Result<Vec<u8>, String> {
+/// Absolute paths and every scheme but `data:` are refused: an import reads no network, and names no place on the
+/// machine that its file does not lead to step by step.
+pub(super) fn locate<'u>(uri: &'u str, base: &Path) -> Result<Location<'u>, String> {
     if let Some(data) = strip_data_scheme(uri) {
-        return decode_data(data);
+        return Ok(Location::Data(data));
     }
     if let Some(scheme) = scheme(uri) {
         return Err(format!("the URI scheme \"{scheme}:\" is not supported: only data: and relative files are"));
@@ -36,12 +45,24 @@ pub(super) fn read(uri: &str, base: &Path, limit: u64) -> Result<Vec<u8>, String
     let folder = base.parent().unwrap_or(Path::new(""));
     let decoded = percent_decode_str(uri).decode_utf8().unwrap_or(Cow::Borrowed(uri));
     let path = folder.join(decoded.as_ref());
-    match read_file(&path, limit) {
+    let canonical = match path.canonicalize() {
         // A name with a literal "%20" in it is not valid as a URI, but is written all the same.
-        Err(e) if e.kind() == io::ErrorKind::NotFound && decoded != uri => read_file(&folder.join(uri), limit),
+        Err(e) if e.kind() == io::ErrorKind::NotFound && decoded != uri => {
+            folder.join(uri).canonicalize().map_err(|_| e)
+        }
         result => result,
+    };
+    canonical.map(Location::File).map_err(|e| describe(&path, &e))
+}
+
+impl Location<'_> {
+    /// The bytes there, at most `limit` of those of a file; or why there are none.
+    pub(super) fn read(&self, limit: u64) -> Result<Vec<u8>, String> {
+        match self {
+            Self::Data(data) => decode_data(data),
+            Self::File(path) => read_file(path, limit).map_err(|e| describe(path, &e)),
+        }
     }
-    .map_err(|e| describe(&path, &e))
 }
 
 /// A whole regular file, or its first `limit` bytes. A device or a pipe, which might have no end, is refused unread.
@@ -86,6 +107,10 @@ fn decode_data(data: &str) -> Result<Vec<u8>, String> {
 mod tests {
     use super::*;
 
+    fn read(uri: &str, base: &Path, limit: u64) -> Result<Vec<u8>, String> {
+        locate(uri, base)?.read(limit)
+    }
+
     fn read_here(uri: &str) -> Result<Vec<u8>, String> {
         read(uri, Path::new("/nowhere/file.gltf"), u64::MAX)
     }
@@ -107,6 +132,17 @@ mod tests {
         for uri in ["http://host/a.bin", "file:///etc/hosts", "C:\\a.bin", "/etc/hosts", "\\\\host\\a", "//host/a"] {
             let cause = read_here(uri).unwrap_err();
             assert!(cause.contains("not supported") || cause.contains("absolute"), "{uri}: {cause}");
+        }
+    }
+
+    #[test]
+    fn spellings_of_one_file_are_one_location() {
+        let folder = tempfile::tempdir().unwrap();
+        let base = folder.path().join("scene.gltf");
+        std::fs::write(folder.path().join("a.bin"), "").unwrap();
+        std::fs::create_dir(folder.path().join("sub")).unwrap();
+        for uri in ["./a.bin", "././a.bin", "sub/../a.bin", "%61.bin"] {
+            assert_eq!(locate(uri, &base), locate("a.bin", &base), "{uri}");
         }
     }
 

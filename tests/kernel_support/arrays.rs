@@ -3,7 +3,7 @@
 use glam::{DAffine3, DMat3, Vec3};
 use ropewalk::accel::{Blas, BuildParams};
 use ropewalk::device::DeviceArrays;
-use ropewalk::device::layout::{Instance, InstanceFlags, NONE, Node, PrimitiveRange, Triangle};
+use ropewalk::device::layout::{Instance, InstanceFlags, Material, NONE, Node, PrimitiveRange, Streams, Triangle};
 use ropewalk::graph::Geometry;
 use ropewalk::math::Aabb;
 
@@ -66,7 +66,37 @@ pub fn arrays_by(builder: Builder, meshes: &[Mesh], placed: &[Placed]) -> Device
     arrays.instances.replace(&instances);
     arrays.blas_nodes.replace(&nodes);
     arrays.triangles.replace(&triangles);
+    arrays.geometries.replace(&[Streams {
+        first_index: NONE,
+        first_normal: NONE,
+        first_tex_coord_0: NONE,
+        first_tex_coord_1: NONE,
+        first_color: NONE,
+        _pad: [0; 3],
+    }]);
+    arrays.materials.replace(&[gray()]);
     arrays
+}
+
+/// Matt, opaque, without textures.
+fn gray() -> Material {
+    Material {
+        base_color: [0.5, 0.5, 0.5, 1.0],
+        emissive: [0.0; 3],
+        metallic: 0.0,
+        roughness: 1.0,
+        transmission: 0.0,
+        ior: 1.5,
+        alpha_cutoff: 0.5,
+        flags: 0,
+        base_color_texture: NONE,
+        metallic_roughness_texture: NONE,
+        emissive_texture: NONE,
+        transmission_texture: NONE,
+        normal_texture: NONE,
+        normal_scale: 1.0,
+        _pad: 0,
+    }
 }
 
 fn median_blas(mesh: &Mesh) -> (Vec<Node>, Vec<Triangle>) {
@@ -95,7 +125,7 @@ fn instance(placed: &Placed, (first_node, first_triangle): (u32, u32)) -> Instan
         material: 0,
         mask: placed.mask,
         flags: placed.flags.bits(),
-        node: [0; 2],
+        node: [3, 1],
     }
 }
 

@@ -73,12 +73,16 @@ pub fn candidates(arrays: &DeviceArrays, ray: &Ray, ray_mask: u32) -> Vec<Candid
     found
 }
 
+/// Whether the ray meets the candidate within its interval, whatever is rounded.
+pub fn is_sure(candidate: &Candidate, ray: &Ray) -> bool {
+    candidate.verdict == Verdict::Hit
+        && candidate.t - candidate.t_error >= f64::from(ray.t_min)
+        && candidate.t + candidate.t_error <= f64::from(ray.t_max)
+}
+
 /// Compares the kernel's hit with the candidates of its ray.
 pub fn fault(ray: &Ray, hit: &Hit, candidates: &[Candidate]) -> Option<Fault> {
-    let is_sure = |c: &&Candidate| {
-        c.verdict == Verdict::Hit && c.t - c.t_error >= f64::from(ray.t_min) && c.t + c.t_error <= f64::from(ray.t_max)
-    };
-    let nearest = candidates.iter().filter(is_sure).map(|c| c.t + c.t_error).min_by(f64::total_cmp);
+    let nearest = candidates.iter().filter(|c| is_sure(c, ray)).map(|c| c.t + c.t_error).min_by(f64::total_cmp);
     if hit.instance == NONE {
         return nearest.map(|_| Fault::FalseMiss);
     }

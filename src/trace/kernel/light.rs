@@ -83,3 +83,89 @@ fn terminator(surface: &Surface, direction: Vec3, facing: f32) -> f32 {
     let g = min(facing / max(smooth_facing, GRAZING * GRAZING), 1.0);
     ((1.0 - g) * g + 1.0) * g
 }
+
+#[cfg(test)]
+mod tests {
+    use bytemuck::Zeroable as _;
+
+    use super::*;
+    use crate::device::layout::{LIGHT_POINT, MaterialFlags};
+
+    fn at(position: Vec3) -> Surface {
+        Surface {
+            position,
+            geometric_normal: Vec3::Z,
+            normal: Vec3::Z,
+            offset: 0.0,
+            base_color: glam::Vec4::ONE,
+            emissive: Vec3::ZERO,
+            metallic: 0.0,
+            roughness: 1.0,
+            transmission: 0.0,
+            ior: 1.5,
+            flags: MaterialFlags::empty(),
+            tint: Vec3::ONE,
+            thin: false,
+            inside: false,
+        }
+    }
+
+    #[test]
+    fn a_point_falls_off_by_the_inverse_square_up_to_its_range() {
+        for range in [f32::MAX, 10.0, 2.0] {
+            let light =
+                Light { kind: LIGHT_POINT, position: [1.0, 2.0, 3.0], color: [5.0; 3], range, ..Light::zeroed() };
+            for distance in [0.1f32, 0.5, 1.0, 1.9, 2.0, 3.0, 9.0, 11.0, 1e6] {
+                let direction = Vec3::new(2.0, -1.0, 2.0) / 3.0;
+                let arrival = light_at(&light, &at(Vec3::new(1.0, 2.0, 3.0) - direction * distance));
+                let window = (1.0 - (f64::from(distance) / f64::from(range)).powi(4)).clamp(0.0, 1.0);
+                let expected = 5.0 / f64::from(distance).powi(2) * window;
+                let found = f64::from(arrival.irradiance.x);
+                let tolerance = 1e-5 * expected + 2e-6 * 5.0 / f64::from(distance).powi(2);
+                assert!(
+                    (found - expected).abs() <= tolerance,
+                    "range {range}, {distance}: {found}, expected {expected}"
+                );
+                assert!((arrival.direction - direction).length() < 1e-5 && arrival.t_max == 1.0);
+            }
+        }
+    }
+
+    #[test]
+    fn a_spot_fades_between_its_cones() {
+        let (inner, outer) = (0.3f32, 0.6f32);
+        let cone_scale = 1.0 / (inner.cos() - outer.cos());
+        let cone_offset = -outer.cos() * cone_scale;
+        let light = Light {
+            kind: LIGHT_SPOT,
+            direction: [0.0, 0.0, -1.0],
+            color: [1.0; 3],
+            range: f32::MAX,
+            cone_scale,
+            cone_offset,
+            ..Light::zeroed()
+        };
+        for step in 0..=100 {
+            let angle = step as f32 * 0.01;
+            let arrival = light_at(&light, &at(Vec3::new(angle.sin(), 0.0, -angle.cos()) * 2.0));
+            let t = ((angle.cos() - outer.cos()) / (inner.cos() - outer.cos())).clamp(0.0, 1.0);
+            let expected = t * t / 4.0;
+            assert!((arrival.irradiance.x - expected).abs() < 1e-5, "{angle}: {} {expected}", arrival.irradiance.x);
+        }
+    }
+
+    #[test]
+    fn a_direction_is_the_same_everywhere() {
+        let light = Light { kind: LIGHT_DIRECTIONAL, direction: [0.0, 0.0, -1.0], color: [2.0; 3], ..Light::zeroed() };
+        for position in [Vec3::ZERO, Vec3::splat(1e6)] {
+            let arrival = light_at(&light, &at(position));
+            assert_eq!((arrival.direction, arrival.irradiance), (Vec3::Z, Vec3::splat(2.0)));
+        }
+    }
+
+    #[test]
+    fn a_light_in_the_surface_does_not_shine() {
+        let light = Light { kind: LIGHT_POINT, color: [5.0; 3], range: f32::MAX, ..Light::zeroed() };
+        assert_eq!(light_at(&light, &at(Vec3::ZERO)).irradiance, Vec3::ZERO);
+    }
+}

@@ -36,3 +36,57 @@ fn cosine_overlap(height: f32) -> f32 {
     let even = ((0.012_317_886 * square + 0.000_506_380_14) * square + 0.107_993_01) * square + 0.212_146_21;
     max(height * (1.0 / 3.0) + even, 0.0)
 }
+
+#[cfg(test)]
+mod tests {
+    use bytemuck::Zeroable as _;
+
+    use super::*;
+
+    fn params() -> FrameParams {
+        FrameParams {
+            sky_zenith: [0.1, 0.5, 3.0],
+            sky_horizon: [0.8, 0.7, 0.6],
+            sky_ground: [0.3, 0.2, 0.0],
+            sky_up: Vec3::new(1.0, 2.0, -0.5).normalize().to_array(),
+            ..FrameParams::zeroed()
+        }
+    }
+
+    /// Irradiance over pi by summing radiance over the sphere, midpoint rule.
+    fn ambient_by_sum(params: &FrameParams, normal: Vec3) -> Vec3 {
+        let (rows, columns) = (400, 400);
+        let mut sum = glam::DVec3::ZERO;
+        for i in 0..rows {
+            let z = (f64::from(i) + 0.5) / f64::from(rows) * 2.0 - 1.0;
+            for j in 0..columns {
+                let azimuth = (f64::from(j) + 0.5) / f64::from(columns) * std::f64::consts::TAU;
+                let radius = (1.0 - z * z).sqrt();
+                let direction = Vec3::new((radius * azimuth.cos()) as f32, (radius * azimuth.sin()) as f32, z as f32);
+                sum += (sky_radiance(params, direction) * direction.dot(normal).max(0.0)).as_dvec3();
+            }
+        }
+        (sum * 4.0 / f64::from(rows * columns)).as_vec3()
+    }
+
+    #[test]
+    fn ambient_light_is_the_integral_of_the_sky() {
+        let params = params();
+        for normal in [Vec3::X, Vec3::Y, -Vec3::Y, Vec3::new(2.0, -1.0, 1.0).normalize(), params.sky_up.into()] {
+            let (found, expected) = (sky_ambient(&params, normal), ambient_by_sum(&params, normal));
+            let error = (found - expected).abs().max_element();
+            assert!(error < 2e-3, "{normal}: {found}, expected {expected}");
+        }
+    }
+
+    #[test]
+    fn a_uniform_sky_is_uniform_however_blurred() {
+        let params = FrameParams { sky_zenith: [0.7; 3], sky_horizon: [0.7; 3], sky_ground: [0.7; 3], ..params() };
+        for direction in [Vec3::X, Vec3::Y, Vec3::NEG_ONE.normalize()] {
+            for roughness in [0.0, 0.3, 1.0] {
+                assert_eq!(sky_radiance(&params, direction), Vec3::splat(0.7));
+                assert!((sky_blurred(&params, direction, roughness) - Vec3::splat(0.7)).abs().max_element() < 1e-6);
+            }
+        }
+    }
+}

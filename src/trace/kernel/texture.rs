@@ -133,3 +133,112 @@ pub(crate) fn linear_from_srgb(c: f32) -> f32 {
 fn mix4(a: Vec4, b: Vec4, weight: f32) -> Vec4 {
     a * (1.0 - weight) + b * weight
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::device::DeviceArrays;
+
+    #[test]
+    fn srgb_decodes_as_the_standard_says() {
+        let exact = |c: f64| if c <= 0.04045 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) };
+        for byte in 0..=255 {
+            let (found, expected) =
+                (f64::from(linear_from_srgb(byte as f32 * (1.0 / 255.0))), exact(f64::from(byte) / 255.0));
+            assert!((found - expected).abs() <= 2e-5 * expected, "{byte}: {found}, expected {expected}");
+        }
+        assert_eq!(linear_from_srgb(1.0), 1.0, "white stays white");
+        assert_eq!(linear_from_srgb(0.0), 0.0);
+    }
+
+    /// Three columns and two rows of greys: 0, 10, 20 over 100, 110, 120.
+    const GREYS: [[u32; 3]; 2] = [[0, 10, 20], [100, 110, 120]];
+
+    fn sample(flags: TextureFlags, u: f32, v: f32) -> f32 {
+        let mut arrays = DeviceArrays::default();
+        let words: Vec<u32> = GREYS.iter().flatten().map(|grey| grey * 0x01_01_01 | 0xff00_0000).collect();
+        // Texels of other textures before and after: what is read must lie within this one.
+        let texels: Vec<u32> = [&[0xffff_ffff; 4][..], &words, &[0xffff_ffff; 4]].concat();
+        arrays.texels.replace(&texels);
+        let info = TextureInfo {
+            row_u: [1.0, 0.0, 0.0, 0.0],
+            row_v: [0.0, 1.0, 0.0, 0.0],
+            first_texel: 4,
+            width: 3,
+            height: 2,
+            flags: flags.bits(),
+        };
+        let rgba = sample_texture(&KernelScene::new(&arrays), &info, Vec2::new(u, v)) * 255.0;
+        rgba.x
+    }
+
+    /// What stands at an index of an axis that goes on in both directions: written out, not computed.
+    const REPEATED: [usize; 12] = [0, 1, 2, 0, 1, 2, 0, 1, 2, 0, 1, 2];
+    const MIRRORED: [usize; 12] = [0, 1, 2, 2, 1, 0, 0, 1, 2, 2, 1, 0];
+    const CLAMPED: [usize; 12] = [0, 0, 0, 0, 0, 0, 0, 1, 2, 2, 2, 2];
+    const FIRST: i32 = -6;
+
+    #[test]
+    fn texels_are_where_the_wrap_mode_puts_them() {
+        let modes =
+            [(TextureFlags::empty(), REPEATED), (TextureFlags::MIRROR_U, MIRRORED), (TextureFlags::CLAMP_U, CLAMPED)];
+        for (flags, columns) in modes {
+            let grey = |i: i32| GREYS[0][columns[(i - FIRST) as usize]] as f32;
+            for i in FIRST..FIRST + 12 {
+                for within in [0.01, 0.25, 0.5, 0.75, 0.99] {
+                    let u = (i as f32 + within) / 3.0;
+                    let found = sample(flags | TextureFlags::NEAREST | TextureFlags::CLAMP_V, u, 0.25);
+                    assert!((found - grey(i)).abs() < 1e-3, "{flags:?} nearest {u}: {found}, expected {}", grey(i));
+                }
+            }
+            // Bilinear: a quarter of the way from one texel centre to the next.
+            for i in FIRST..FIRST + 11 {
+                let u = (i as f32 + 0.75) / 3.0;
+                let found = sample(flags | TextureFlags::CLAMP_V, u, 0.25);
+                let expected = grey(i) * 0.75 + grey(i + 1) * 0.25;
+                assert!((found - expected).abs() < 1e-3, "{flags:?} bilinear {u}: {found}, expected {expected}");
+            }
+        }
+    }
+
+    #[test]
+    fn rows_go_down_and_wrap_by_their_own_mode() {
+        let cases = [
+            (
+                TextureFlags::empty(),
+                [(0.25, 10.0), (0.75, 110.0), (0.5, 60.0), (0.0, 60.0), (1.25, 10.0), (-0.25, 110.0)],
+            ),
+            (
+                TextureFlags::MIRROR_V,
+                [(0.25, 10.0), (0.75, 110.0), (0.5, 60.0), (0.0, 10.0), (1.25, 110.0), (-0.25, 10.0)],
+            ),
+            (
+                TextureFlags::CLAMP_V,
+                [(0.25, 10.0), (0.75, 110.0), (0.5, 60.0), (0.0, 10.0), (1.25, 110.0), (-0.25, 10.0)],
+            ),
+        ];
+        for (flags, values) in cases {
+            for (v, expected) in values {
+                let found = sample(flags, 0.5, v);
+                assert!((found - expected).abs() < 1e-3, "{flags:?} at {v}: {found}, expected {expected}");
+            }
+        }
+    }
+
+    #[test]
+    fn wild_coordinates_read_within_the_texture() {
+        for coord in [1e30, -1e30, f32::MAX, f32::INFINITY, f32::NAN, -1e-12, 16_777_217.0] {
+            for flags in 0..TextureFlags::SRGB.bits() {
+                let grey = sample(TextureFlags::from_bits_retain(flags), coord, -coord);
+                assert!(grey.is_nan() || grey <= 120.001, "{coord} {flags}: {grey}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_transform_is_applied() {
+        let info =
+            TextureInfo { row_u: [2.0, 3.0, 0.5, 9.0], row_v: [-1.0, 4.0, 0.25, 9.0], ..bytemuck::Zeroable::zeroed() };
+        assert_eq!(image_coordinates(&info, Vec2::new(10.0, 100.0)), Vec2::new(320.5, 390.25));
+    }
+}

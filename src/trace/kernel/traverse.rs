@@ -203,3 +203,79 @@ fn passes_crossing(scene: &KernelScene<'_>, traversal: &Traversal, triangle: &Tr
     }
     passes(scene, &scene.instances[traversal.instance as usize], triangle, crossing.u, crossing.v)
 }
+
+#[cfg(test)]
+mod tests {
+    use bytemuck::Zeroable as _;
+
+    use super::*;
+    use crate::device::DeviceArrays;
+    use crate::device::layout::{Instance, Material, MaterialFlags, Node, Streams};
+
+    /// Triangles one behind the other at z = 0, 1, 2, ..., in one leaf of one instance.
+    fn layers(count: u32, material: Material, flags: InstanceFlags) -> DeviceArrays {
+        let mut arrays = DeviceArrays::default();
+        let (min, max) = ([-2.0, -2.0, -1.0], [4.0, 4.0, count as f32]);
+        let node = |primitives| Node { min, escape_index: NONE, max, primitives };
+        arrays.tlas_nodes.replace(&[node(PrimitiveRange::leaf(0, 1))]);
+        arrays.blas_nodes.replace(&[node(PrimitiveRange::leaf(0, count))]);
+        let at = |z: f32| {
+            let [v0, v1, v2] = [[-1.0, -1.0, z], [3.0, -1.0, z], [-1.0, 3.0, z]];
+            Triangle { v0, primitive: z as u32, v1, _pad0: 0, v2, _pad1: 0 }
+        };
+        arrays.triangles.replace(&(0..count).map(|i| at(i as f32)).collect::<Vec<_>>());
+        let identity = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
+        let instance = Instance { mask: 2, flags: flags.bits(), ..Instance::zeroed() };
+        arrays.instances.replace(&[Instance { local_from_world: identity, world_from_local: identity, ..instance }]);
+        let none = Streams { first_index: NONE, first_normal: NONE, first_tex_coord_0: NONE, ..Streams::zeroed() };
+        arrays.geometries.replace(&[Streams { first_tex_coord_1: NONE, first_color: NONE, ..none }]);
+        arrays.materials.replace(&[material]);
+        arrays
+    }
+
+    fn blended(alpha: f32) -> Material {
+        let flags = MaterialFlags::BLEND.bits();
+        let base_color_texture = NONE;
+        Material { base_color: [1.0, 1.0, 1.0, alpha], flags, base_color_texture, ..Material::zeroed() }
+    }
+
+    fn ray(t_min: f32, t_max: f32) -> Ray {
+        Ray { origin: [0.0, 0.0, -1.0], t_min, direction: [0.0, 0.0, 1.0], t_max }
+    }
+
+    #[test]
+    fn each_layer_lets_its_part_through() {
+        let arrays = layers(5, blended(0.5), InstanceFlags::TRANSLUCENT);
+        let scene = KernelScene::new(&arrays);
+        // From t = 1 on there is a layer at each whole number; both ends count.
+        for (t_min, t_max, layers) in [(0.0, 0.9, 0), (0.0, 1.0, 1), (1.0, 1.0, 1), (0.0, 9.0, 5), (1.5, 4.0, 3)] {
+            let part = 0.5f32.powi(layers);
+            assert_eq!(transmittance(&scene, &ray(t_min, t_max), 2), Vec3::splat(part), "{t_min} to {t_max}");
+            assert!(!any_hit(&scene, &ray(t_min, t_max), 2));
+        }
+        assert_eq!(transmittance(&scene, &ray(0.0, 9.0), 1), Vec3::ONE, "the mask hides them");
+    }
+
+    #[test]
+    fn what_is_opaque_lets_nothing_through() {
+        for (alpha, flags) in [(1.0, InstanceFlags::TRANSLUCENT), (0.5, InstanceFlags::empty())] {
+            let arrays = layers(5, blended(alpha), flags);
+            let scene = KernelScene::new(&arrays);
+            assert_eq!(transmittance(&scene, &ray(0.0, 9.0), 2), Vec3::ZERO);
+            assert!(any_hit(&scene, &ray(5.0, 5.0), 2));
+            assert!(!any_hit(&scene, &ray(5.1, 9.0), 2));
+            assert_eq!(transmittance(&scene, &ray(5.1, 9.0), 2), Vec3::ONE);
+        }
+    }
+
+    #[test]
+    fn nothing_is_hit_where_there_is_nothing() {
+        let mut arrays = DeviceArrays::default();
+        for nodes in [&[][..], &[Node::zeroed(); 3]] {
+            arrays.tlas_nodes.replace(nodes);
+            let scene = KernelScene::new(&arrays);
+            assert_eq!(closest_hit(&scene, &ray(0.0, f32::MAX), 2), Hit::MISS);
+            assert!(!any_hit(&scene, &ray(0.0, f32::MAX), 2));
+        }
+    }
+}

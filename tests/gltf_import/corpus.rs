@@ -1,0 +1,30 @@
+//! Where the real scenes are: in the folder that `ROPEWALK_SCENES` names.
+
+use std::path::{Path, PathBuf};
+
+/// The folder, or nothing (said on standard error) where the variable is not set.
+pub(crate) fn scenes(test: &str) -> Option<PathBuf> {
+    let folder = std::env::var_os("ROPEWALK_SCENES").map(PathBuf::from);
+    if folder.is_none() {
+        eprintln!("{test}: skipped, because ROPEWALK_SCENES is not set");
+    }
+    folder
+}
+
+/// Every glTF file below a folder, sorted.
+pub(crate) fn gltf_files(folder: &Path) -> Vec<PathBuf> {
+    let mut files = Vec::new();
+    let mut pending = vec![folder.to_owned()];
+    while let Some(folder) = pending.pop() {
+        for entry in std::fs::read_dir(&folder).unwrap_or_else(|e| panic!("{}: {e}", folder.display())) {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                pending.push(path);
+            } else if path.extension().is_some_and(|e| e == "gltf" || e == "glb") {
+                files.push(path);
+            }
+        }
+    }
+    files.sort();
+    files
+}

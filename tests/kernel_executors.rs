@@ -1,0 +1,87 @@
+//! The CPU executors make the same image, pixel for pixel, whatever its size.
+
+#![allow(clippy::panic, clippy::unwrap_used, reason = "a test fails by panicking")]
+
+mod kernel_support;
+
+use bytemuck::Zeroable as _;
+use glam::DAffine3;
+use kernel_support::{Mesh, Placed, arrays};
+use ropewalk::Error;
+use ropewalk::compile::Needs;
+use ropewalk::device::layout::FrameParams;
+use ropewalk::image::Image;
+use ropewalk::trace::{Cpu, Emulated, FrameRequest, Tracer};
+
+/// A frame seen from z = 4 towards the origin, under a white sky.
+fn request(width: u32, height: u32, aovs: bool) -> FrameRequest {
+    let params = FrameParams {
+        eye: [0.0, 0.0, 4.0],
+        width,
+        right: [0.5, 0.0, 0.0],
+        height,
+        up: [0.0, 0.5, 0.0],
+        max_depth: 3,
+        forward: [0.0, 0.0, -1.0],
+        sky_zenith: [1.0; 3],
+        sky_horizon: [1.0; 3],
+        sky_ground: [1.0; 3],
+        sky_up: [0.0, 1.0, 0.0],
+        ray_mask: 1,
+        ..FrameParams::zeroed()
+    };
+    FrameRequest { params, needs: Needs::empty(), aovs }
+}
+
+fn images(request: &FrameRequest) -> [Image; 2] {
+    let mut arrays = arrays(&[Mesh::displaced_icosphere(3)], &[Placed::new(0, DAffine3::IDENTITY)]);
+    let mut tracers: [Box<dyn Tracer>; 2] = [Box::new(Emulated::default()), Box::new(Cpu::default())];
+    tracers.each_mut().map(|tracer| {
+        tracer.upload(&mut arrays).unwrap();
+        tracer.render(&arrays, request).unwrap();
+        tracer.read().unwrap()
+    })
+}
+
+#[test]
+fn images_are_equal_whether_tiles_fit_or_not() {
+    for (width, height) in [(1, 1), (16, 16), (32, 16), (37, 19), (100, 3), (15, 50)] {
+        let [emulated, cpu] = images(&request(width, height, true));
+        assert_eq!(emulated.color.len(), (width * height) as usize);
+        assert_eq!(emulated, cpu, "{width} x {height}");
+    }
+}
+
+#[test]
+fn aovs_tell_what_was_met() {
+    for image in images(&request(32, 32, true)) {
+        let aovs = image.aovs.expect("they were asked for");
+        let (corner, middle) = (0, 16 * 32 + 16);
+        assert_eq!(aovs.depth[corner], f32::INFINITY);
+        assert_eq!((aovs.node[corner], aovs.triangle[corner]), (Default::default(), u32::MAX));
+        assert!((2.0..4.0).contains(&aovs.depth[middle]) && aovs.normal[middle][2] > 0.0);
+        assert!(aovs.node[middle] != Default::default() && aovs.triangle[middle] < 1280);
+    }
+    assert!(images(&request(8, 8, false)).iter().all(|image| image.aovs.is_none()));
+}
+
+#[test]
+fn frames_without_pixels_are_empty() {
+    for (width, height) in [(0, 0), (0, 7), (7, 0)] {
+        let [emulated, cpu] = images(&request(width, height, true));
+        assert!(emulated.color.is_empty());
+        assert_eq!(emulated, cpu);
+    }
+}
+
+#[test]
+fn frames_too_large_are_refused_before_anything_is_allocated() {
+    let arrays = arrays(&[Mesh::cube()], &[Placed::new(0, DAffine3::IDENTITY)]);
+    let mut tracers: [Box<dyn Tracer>; 2] = [Box::new(Emulated::default()), Box::new(Cpu::default())];
+    for tracer in &mut tracers {
+        for (width, height) in [(u32::MAX, u32::MAX), (1 << 15, 1 << 14), (u32::MAX, 1)] {
+            let error = tracer.render(&arrays, &request(width, height, false));
+            assert!(matches!(error, Err(Error::Limit { .. })), "{width} x {height}");
+        }
+    }
+}
