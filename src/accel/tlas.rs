@@ -3,9 +3,9 @@
 use rayon::prelude::*;
 
 use super::flatten::flatten;
-use super::sah::{self, SahParams, TASK_MINIMUM};
+use super::sah::{self, SahParams};
 use super::stats::Stats;
-use super::tree::{Extent, Reference};
+use super::tree::{Extent, Reference, TASK_MINIMUM};
 use super::validate::{StructureError, check_nodes};
 use crate::device::layout::{Node, PrimitiveRange};
 use crate::math::Aabb;
