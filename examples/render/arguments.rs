@@ -8,7 +8,7 @@ use ropewalk::{DeviceChoice, View};
 
 /// Renders a glTF file, or without one a scene made in code, to an image.
 #[derive(Debug, Parser)]
-#[command(name = "render", version, about)]
+#[command(name = "render", version, about, args_override_self = true)]
 pub(crate) struct Arguments {
     /// A .gltf or .glb file; without one, a scene made in code is rendered
     pub(crate) file: Option<PathBuf>,
@@ -32,7 +32,7 @@ pub(crate) struct Arguments {
     #[arg(long, value_name = "NAME|INDEX")]
     pub(crate) camera: Option<String>,
     /// The scene of the file, by name or number (default: the file's own default)
-    #[arg(long, value_name = "NAME|INDEX", requires = "file")]
+    #[arg(long, value_name = "NAME|INDEX")]
     pub(crate) scene: Option<String>,
     /// Turntable: write N numbered images from all around
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
@@ -76,7 +76,7 @@ impl Arguments {
             }
             Err(error) => return Err(one_line(&error)),
         };
-        arguments.check_memory()?;
+        arguments.check()?;
         Ok(Some(arguments))
     }
 
@@ -94,18 +94,21 @@ impl Arguments {
         self.output.with_file_name(format!("{stem}-{frame:0digits$}.{extension}"))
     }
 
-    fn check_memory(&self) -> Result<(), String> {
+    /// What clap cannot check: how the arguments go together.
+    fn check(&self) -> Result<(), String> {
         /// 2 GiB of colour.
         const MOST_SAMPLES: u64 = 1 << 27;
 
+        if self.scene.is_some() && self.file.is_none() {
+            return Err("--scene chooses a scene of a file, but no file is given".to_owned());
+        }
         let (width, height) = self.traced_size();
         let samples = u64::from(width) * u64::from(height);
-        if samples <= MOST_SAMPLES {
-            return Ok(());
+        if samples > MOST_SAMPLES {
+            let asked = "--size and --samples ask for";
+            return Err(format!("{asked} {samples} rays an image, but at most {MOST_SAMPLES} are traced at once"));
         }
-        Err(format!(
-            "--size and --samples ask for {samples} rays an image, but at most {MOST_SAMPLES} are traced at once"
-        ))
+        Ok(())
     }
 }
 

@@ -90,19 +90,30 @@ impl Report {
     }
 }
 
-fn phase_table(first: &FrameEntry, later: &[FrameEntry]) -> Table {
-    let compile = &first.report.compile;
-    let phases: [(&str, fn(&FrameEntry) -> Duration, String); 8] = [
-        ("update", |frame| frame.report.compile.update_time, String::new()),
-        ("bottom level", |frame| frame.report.compile.blas_time, format!("{} built", compile.blas_built)),
-        ("top level", |frame| frame.report.compile.tlas_time, compile.tlas.to_string()),
-        ("upload", |frame| frame.report.upload_time, format!("{} bytes", first.report.uploaded_bytes)),
-        ("trace", |frame| frame.report.trace_time, String::new()),
-        ("read back", |frame| frame.read_time, String::new()),
-        ("save", |frame| frame.save_time, String::new()),
-        ("total", |frame| frame.report.total_time + frame.read_time + frame.save_time, String::new()),
-    ];
+/// A row of the table of phases.
+struct Phase {
+    name: &'static str,
+    time: fn(&FrameEntry) -> Duration,
+    /// What the first frame did in it, in words.
+    done: String,
+}
 
+fn phases(first: &FrameEntry) -> [Phase; 8] {
+    let phase = |name, time, done| Phase { name, time, done };
+    let FrameReport { compile, uploaded_bytes, .. } = &first.report;
+    [
+        phase("update", |frame| frame.report.compile.update_time, String::new()),
+        phase("bottom level", |frame| frame.report.compile.blas_time, format!("{} built", compile.blas_built)),
+        phase("top level", |frame| frame.report.compile.tlas_time, compile.tlas.to_string()),
+        phase("upload", |frame| frame.report.upload_time, format!("{uploaded_bytes} bytes")),
+        phase("trace", |frame| frame.report.trace_time, String::new()),
+        phase("read back", |frame| frame.read_time, String::new()),
+        phase("save", |frame| frame.save_time, String::new()),
+        phase("total", |frame| frame.report.total_time + frame.read_time + frame.save_time, String::new()),
+    ]
+}
+
+fn phase_table(first: &FrameEntry, later: &[FrameEntry]) -> Table {
     let mut table = Table::new();
     table.load_style(UTF8_FULL_CONDENSED);
     let mut header = vec!["phase".to_owned(), "first frame".to_owned(), "what was done".to_owned()];
@@ -110,8 +121,8 @@ fn phase_table(first: &FrameEntry, later: &[FrameEntry]) -> Table {
         header.push(format!("mean of {} later", later.len()));
     }
     table.set_header(header);
-    for (phase, time, done) in phases {
-        let mut row = vec![phase.to_owned(), milliseconds(time(first)), done];
+    for Phase { name, time, done } in phases(first) {
+        let mut row = vec![name.to_owned(), milliseconds(time(first)), done];
         if !later.is_empty() {
             row.push(milliseconds(later.iter().map(time).sum::<Duration>() / later.len() as u32));
         }

@@ -36,8 +36,7 @@ pub(crate) fn glass(scene: &mut Scene) -> Result<View> {
     put(scene, shapes::cuboid(Vec3::ONE), green, turned)?;
     put(scene, shapes::sphere(5), Material::glass(2.4), scaled(1.9, 0.5, 0.6, dvec3(0.5, 0.5, 0.15)))?;
     add_sun(scene, 2.0)?;
-    let mut view =
-        View::look_at(dvec3(0.2, 1.5, 5.0), dvec3(0.2, 0.8, 0.0), DVec3::Y, Camera::default(), WIDTH, HEIGHT);
+    let mut view = look(dvec3(0.2, 1.5, 5.0), dvec3(0.2, 0.8, 0.0));
     view.max_depth = 6;
     Ok(view)
 }
@@ -51,8 +50,7 @@ pub(crate) fn mirror_depth(scene: &mut Scene) -> Result<View> {
     put(scene, shapes::sphere(4), Material::diffuse(vec3(0.8, 0.1, 0.05)), scaled(-0.3, 0.5, 0.4, DVec3::splat(0.5)))?;
     put(scene, shapes::cuboid(Vec3::splat(0.25)), Material::diffuse(vec3(0.1, 0.3, 0.8)), at(0.7, 0.25, -0.6))?;
     add_sun(scene, 2.0)?;
-    let mut view =
-        View::look_at(dvec3(1.3, 1.7, 2.4), dvec3(-0.1, 0.7, -2.0), DVec3::Y, Camera::default(), WIDTH, HEIGHT);
+    let mut view = look(dvec3(1.3, 1.7, 2.4), dvec3(-0.1, 0.7, -2.0));
     view.max_depth = View::MAX_DEPTH;
     Ok(view)
 }
@@ -92,7 +90,7 @@ pub(crate) fn texture_wrap(scene: &mut Scene) -> Result<View> {
         }
     }
     let camera = Camera::Orthographic { x_mag: 2.1, y_mag: 1.1 };
-    Ok(View::look_at(DVec3::Z * 5.0, DVec3::ZERO, DVec3::Y, camera, WIDTH, HEIGHT))
+    Ok(View { camera, ..look(DVec3::Z * 5.0, DVec3::ZERO) })
 }
 
 /// Alpha masks with round holes, whose shadow has holes too, and three panes of blended colour one behind the other.
@@ -121,7 +119,7 @@ pub(crate) fn alpha(scene: &mut Scene) -> Result<View> {
         put(scene, shapes::cuboid(vec3(0.45, 0.6, 0.01)), pane, at(0.7 + 0.4 * i, 0.62 + 0.15 * i, z))?;
     }
     add_sun(scene, 3.0)?;
-    Ok(View::look_at(dvec3(0.2, 1.6, 4.5), dvec3(0.15, 0.7, 0.0), DVec3::Y, Camera::default(), WIDTH, HEIGHT))
+    Ok(look(dvec3(0.2, 1.6, 4.5), dvec3(0.15, 0.7, 0.0)))
 }
 
 /// One single-sided, unsymmetrical piece under scales of every sign, flat and smooth: none may be inside out.
@@ -149,7 +147,7 @@ pub(crate) fn mirrored(scene: &mut Scene) -> Result<View> {
         }
     }
     add_sun(scene, 3.0)?;
-    Ok(View::look_at(dvec3(0.8, 2.6, 4.4), dvec3(0.0, 0.4, -0.2), DVec3::Y, Camera::default(), WIDTH, HEIGHT))
+    Ok(look(dvec3(0.8, 2.6, 4.4), dvec3(0.0, 0.4, -0.2)))
 }
 
 /// A red spot, a green point light whose range ends on the floor, and a dim blue directional one, each with shadows.
@@ -160,9 +158,9 @@ pub(crate) fn lights(scene: &mut Scene) -> Result<View> {
     }
     let light = |kind, color, intensity, range| Light { kind, color, intensity, range };
     let spot = LightKind::Spot { inner_cone_angle: 0.3, outer_cone_angle: 0.45 };
-    let spot = light(spot, vec3(1.0, 0.15, 0.1), 30.0, None);
-    let point = light(LightKind::Point, vec3(0.1, 1.0, 0.2), 6.0, Some(1.9));
-    let directional = light(LightKind::Directional, vec3(0.2, 0.3, 1.0), 1.0, None);
+    let spot = light(spot, vec3(1.0, 0.15, 0.1), 16.0, None);
+    let point = light(LightKind::Point, vec3(0.1, 1.0, 0.2), 3.0, Some(1.9));
+    let directional = light(LightKind::Directional, vec3(0.2, 0.3, 1.0), 0.6, None);
     for (light, from, to) in [
         (spot, dvec3(-2.4, 2.4, 1.2), dvec3(-1.4, 0.2, 0.0)),
         (point, dvec3(0.5, 1.0, 0.6), DVec3::ZERO),
@@ -171,8 +169,7 @@ pub(crate) fn lights(scene: &mut Scene) -> Result<View> {
         let pose = scene.add(scene.root(), Transform::looking_at(from, to, DVec3::Y))?;
         scene.add(pose, light)?;
     }
-    let mut view =
-        View::look_at(dvec3(0.0, 2.4, 4.6), dvec3(0.0, 0.1, 0.0), DVec3::Y, Camera::default(), WIDTH, HEIGHT);
+    let mut view = look(dvec3(0.0, 2.4, 4.6), dvec3(0.0, 0.1, 0.0));
     view.sky = Sky::uniform(Vec3::splat(0.03));
     Ok(view)
 }
@@ -197,7 +194,7 @@ pub(crate) fn vertex_colors(scene: &mut Scene) -> Result<View> {
     });
     put(scene, ball, Material::default(), scaled(1.0, 0.8, 0.0, DVec3::splat(0.8)))?;
     add_sun(scene, 2.5)?;
-    Ok(View::look_at(dvec3(0.0, 1.9, 4.0), dvec3(0.0, 0.7, 0.0), DVec3::Y, Camera::default(), WIDTH, HEIGHT))
+    Ok(look(dvec3(0.0, 1.9, 4.0), dvec3(0.0, 0.7, 0.0)))
 }
 
 /// In the dark: what emits is seen, evenly or by texture; what is unlit is seen as it is; the rest is black.
@@ -221,7 +218,7 @@ pub(crate) fn emissive_unlit(scene: &mut Scene) -> Result<View> {
         };
         put(scene, if textured { shapes::cuboid(Vec3::ONE) } else { shapes::sphere(4) }, material, pose)?;
     }
-    let mut view = View::look_at(DVec3::Z * 4.5, DVec3::ZERO, DVec3::Y, Camera::default(), WIDTH, HEIGHT);
+    let mut view = look(DVec3::Z * 4.5, DVec3::ZERO);
     view.sky = Sky::uniform(Vec3::ZERO);
     Ok(view)
 }
@@ -246,7 +243,7 @@ pub(crate) fn orthographic_instances(scene: &mut Scene) -> Result<View> {
     }
     add_sun(scene, 2.5)?;
     let camera = Camera::Orthographic { x_mag: 5.0, y_mag: 3.75 };
-    Ok(View::look_at(dvec3(10.0, 8.0, 10.0), dvec3(0.0, 0.3, 0.0), DVec3::Y, camera, WIDTH, HEIGHT))
+    Ok(View { camera, ..look(dvec3(10.0, 8.0, 10.0), dvec3(0.0, 0.3, 0.0)) })
 }
 
 /// Balls from smooth to rough; upper row of metal, lower of plastic; the last of each by texture.
@@ -275,8 +272,8 @@ pub(crate) fn metallic_roughness(scene: &mut Scene) -> Result<View> {
         put(scene, shapes::cuboid(Vec3::splat(0.4)), material, place)?;
     }
     add_sun(scene, 3.0)?;
-    let camera = Camera::Perspective { y_fov: 0.55, aspect: None };
-    Ok(View::look_at(dvec3(0.0, 0.6, 8.0), DVec3::ZERO, DVec3::Y, camera, WIDTH, HEIGHT))
+    let camera = Camera::Perspective { y_fov: 0.66, aspect: None };
+    Ok(View { camera, ..look(dvec3(0.0, 0.6, 8.0), DVec3::ZERO) })
 }
 
 /// Flat plates whose normals come from a texture of round bumps, at three strengths: 0, 1 and -1 (dents).
@@ -307,13 +304,25 @@ pub(crate) fn normal_texture(scene: &mut Scene) -> Result<View> {
         put(scene, shapes::cuboid(vec3(0.6, 0.9, 0.05)), material, place)?;
     }
     add_sun(scene, 3.0)?;
-    Ok(View::look_at(dvec3(0.0, 0.0, 3.0), DVec3::ZERO, DVec3::Y, Camera::default(), WIDTH, HEIGHT))
+    Ok(look(dvec3(0.0, 0.0, 3.8), DVec3::ZERO))
 }
 
-/// A material that shows black and white squares of a quarter of the texture's sides.
+/// A view from `eye` at `target` under a grey sky.
+fn look(eye: DVec3, target: DVec3) -> View {
+    let mut view = View::look_at(eye, target, DVec3::Y, Camera::default(), WIDTH, HEIGHT);
+    view.sky = grey_sky();
+    view
+}
+
+fn grey_sky() -> Sky {
+    let [zenith, horizon, ground] = [0.30, 0.36, 0.12].map(Vec3::splat);
+    Sky { zenith, horizon, ground, up: Vec3::Y }
+}
+
+/// A material that shows light and dark squares, four along each side of the texture.
 fn checkerboard(scene: &mut Scene, filter: Filter) -> Result<Material> {
     let color = |p: Vec2| {
-        let square = (p * 8.0).floor();
+        let square = (p * 4.0).floor();
         if (square.x + square.y) as i32 % 2 == 0 { vec3(0.9, 0.85, 0.7) } else { vec3(0.1, 0.12, 0.2) }
     };
     let texture = scene.add_texture(textures::from_fn(64, color))?;

@@ -1,0 +1,347 @@
+//! The example `render` as a user meets it: what it prints, its exit codes, and the files that it leaves.
+//!
+//! `cargo test` and `cargo nextest run` build the example; `cargo test --test cli` alone takes it as it was last built.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use base64::Engine as _;
+use serde_json::{Value, json};
+use tempfile::TempDir;
+
+/// What one run printed, and the files that it left beside those that were there.
+struct Run {
+    code: Option<i32>,
+    stdout: String,
+    stderr: String,
+    files: Vec<String>,
+}
+
+/// Runs the example in `folder`.
+fn render(folder: &TempDir, arguments: &[&str]) -> Run {
+    let before = names_in(folder.path());
+    let output = Command::new(executable()).args(arguments).current_dir(folder).output().unwrap();
+    let mut files = names_in(folder.path());
+    files.retain(|file| !before.contains(file));
+    Run {
+        code: output.status.code(),
+        stdout: String::from_utf8(output.stdout).unwrap(),
+        stderr: String::from_utf8(output.stderr).unwrap(),
+        files,
+    }
+}
+
+/// Runs the example on the CPU for a small image, in a folder with the file "two.gltf", and expects success.
+#[track_caller]
+fn render_small(folder: &TempDir, arguments: &[&str]) -> Run {
+    let run = render(folder, &[&["--device", "cpu", "--size", "40x30", "--samples", "1"], arguments].concat());
+    assert_eq!((run.code, run.stderr.as_str()), (Some(0), ""), "{arguments:?}");
+    run
+}
+
+/// Cargo puts examples beside the folder of the test programs.
+fn executable() -> PathBuf {
+    let test = std::env::current_exe().unwrap();
+    let path = test
+        .parent()
+        .unwrap()
+        .parent()
+        .unwrap()
+        .join("examples/render")
+        .with_extension(std::env::consts::EXE_EXTENSION);
+    assert!(path.is_file(), "{} is missing: cargo build --example render", path.display());
+    path
+}
+
+fn names_in(folder: &Path) -> Vec<String> {
+    let entries = fs::read_dir(folder).unwrap();
+    let mut names: Vec<_> = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    names
+}
+
+/// A folder with "two.gltf": a scene "red" with cameras "left" and "right" at a triangle, and an empty scene "nothing".
+fn folder() -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("two.gltf"), two_scenes().to_string()).unwrap();
+    folder
+}
+
+fn two_scenes() -> Value {
+    let positions: [f32; 9] = [-1.0, -1.0, 0.0, 1.0, -1.0, 0.0, 0.0, 1.0, 0.0];
+    let bytes: Vec<u8> = positions.iter().flat_map(|p| p.to_le_bytes()).collect();
+    let uri =
+        format!("data:application/octet-stream;base64,{}", base64::engine::general_purpose::STANDARD.encode(&bytes));
+    json!({
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"name": "red", "nodes": [0, 1, 2]}, {"name": "nothing"}],
+        "nodes": [
+            {"mesh": 0},
+            {"camera": 0, "translation": [-0.5, 0.0, 4.0]},
+            {"camera": 1, "translation": [0.5, 0.0, 4.0]},
+        ],
+        "cameras": [
+            {"name": "left", "type": "perspective", "perspective": {"yfov": 0.8, "znear": 0.1}},
+            {"name": "right", "type": "perspective", "perspective": {"yfov": 0.8, "znear": 0.1}},
+        ],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "material": 0}]}],
+        "materials": [{"pbrMetallicRoughness": {"baseColorFactor": [1.0, 0.0, 0.0, 1.0]}}],
+        "accessors": [{
+            "bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3",
+            "min": [-1.0, -1.0, 0.0], "max": [1.0, 1.0, 0.0],
+        }],
+        "bufferViews": [{"buffer": 0, "byteLength": 36}],
+        "buffers": [{"byteLength": 36, "uri": uri}],
+    })
+}
+
+fn pixels(folder: &TempDir, name: &str) -> image::RgbaImage {
+    image::open(folder.path().join(name)).unwrap().to_rgba8()
+}
+
+#[test]
+fn without_arguments_a_picture_of_the_built_in_scene_is_written() {
+    // But for the size: the whole picture takes too long in a test.
+    let folder = tempfile::tempdir().unwrap();
+    let run = render(&folder, &["--size", "48x30"]);
+    assert_eq!(run.code, Some(0), "{}", run.stderr);
+    assert_eq!(run.stdout, "wrote out.png\n");
+    assert_eq!(run.files, ["out.png"]);
+    // A machine without a GPU is told so, in one line.
+    let told = run.stderr.lines().collect::<Vec<_>>();
+    assert!(told.len() <= 1 && told.iter().all(|line| line.starts_with("rendering on the CPU: ")), "{}", run.stderr);
+
+    let picture = pixels(&folder, "out.png");
+    assert_eq!((picture.width(), picture.height()), (48, 30));
+    let colors: std::collections::HashSet<_> = picture.pixels().collect();
+    assert!(colors.len() > 500, "only {} colours", colors.len());
+}
+
+#[test]
+fn a_file_is_rendered_to_png_and_exr() {
+    let folder = folder();
+    assert_eq!(render_small(&folder, &["two.gltf", "-o", "a b.png"]).files, ["a b.png"]);
+    assert_eq!(render_small(&folder, &["two.gltf", "--output", "a.exr"]).files, ["a.exr"]);
+
+    let png = pixels(&folder, "a b.png");
+    let [r, g, b, a] = png.get_pixel(20, 15).0;
+    assert!(r > 100 && g < 30 && b < 30 && a == 255, "the triangle is {r} {g} {b} {a}");
+    let exr = exr::prelude::read_first_flat_layer_from_file(folder.path().join("a.exr")).unwrap();
+    assert_eq!((exr.layer_data.size.width(), exr.layer_data.size.height()), (40, 30));
+}
+
+#[test]
+fn emulated_and_cpu_make_the_same_picture() {
+    let folder = folder();
+    render_small(&folder, &["--size", "24x15", "-o", "cpu.png"]);
+    let run = render(&folder, &["--device", "emulated", "--size", "24x15", "--samples", "1", "-o", "emulated.png"]);
+    assert_eq!(run.code, Some(0), "{}", run.stderr);
+    assert_eq!(pixels(&folder, "cpu.png"), pixels(&folder, "emulated.png"));
+}
+
+#[test]
+fn a_gpu_renders_or_its_absence_is_explained() {
+    let folder = folder();
+    let run = render(&folder, &["two.gltf", "--device", "gpu", "--size", "40x30"]);
+    match run.code {
+        Some(0) => assert_eq!(run.files, ["out.png"]),
+        code => {
+            assert_eq!(code, Some(2));
+            assert!(
+                run.stderr.starts_with("error: no usable GPU: ") && run.stderr.lines().count() == 1,
+                "{}",
+                run.stderr
+            );
+            assert_eq!(run.files, [""; 0]);
+        }
+    }
+}
+
+#[test]
+fn samples_smooth_edges() {
+    let folder = folder();
+    let count =
+        |name: &str| pixels(&folder, name).pixels().map(|p| p.0).collect::<std::collections::HashSet<_>>().len();
+    render_small(&folder, &["two.gltf", "-o", "1.png"]);
+    render(&folder, &["two.gltf", "--device", "cpu", "--size", "40x30", "--samples", "4", "-o", "4.png"]);
+    assert!(count("4.png") > count("1.png") + 10, "{} and {}", count("4.png"), count("1.png"));
+}
+
+#[test]
+fn depth_says_how_often_a_ray_is_reflected() {
+    let folder = folder();
+    render_small(&folder, &["--depth", "0", "-o", "0.png"]);
+    render_small(&folder, &["-o", "default.png"]);
+    render_small(&folder, &["--depth", "3", "-o", "3.png"]);
+    assert_ne!(pixels(&folder, "0.png"), pixels(&folder, "3.png"));
+    assert_eq!(pixels(&folder, "default.png"), pixels(&folder, "3.png"));
+}
+
+#[test]
+fn cameras_are_chosen_by_name_and_number() {
+    let folder = folder();
+    for (i, camera) in [None, Some("0"), Some("left"), Some("1"), Some("right")].into_iter().enumerate() {
+        let output = format!("{i}.png");
+        let chosen: Vec<&str> = camera.into_iter().flat_map(|camera| ["--camera", camera]).collect();
+        render_small(&folder, &[&["two.gltf", "-o", &output], chosen.as_slice()].concat());
+    }
+    let [default, zero, left, one, right] = [0, 1, 2, 3, 4].map(|i| pixels(&folder, &format!("{i}.png")));
+    assert!(default == zero && zero == left && one == right && left != right);
+}
+
+#[test]
+fn scenes_are_chosen_by_name_and_number() {
+    let folder = folder();
+    for (i, scene) in ["0", "red", "1", "nothing"].into_iter().enumerate() {
+        render_small(&folder, &["two.gltf", "-o", &format!("{i}.png"), "--scene", scene]);
+    }
+    let [zero, red, one, nothing] = [0, 1, 2, 3].map(|i| pixels(&folder, &format!("{i}.png")));
+    assert!(zero == red && one == nothing && red != one);
+}
+
+#[test]
+fn json_is_all_there_is_on_standard_output() {
+    let folder = folder();
+    let run = render_small(&folder, &["two.gltf", "--json"]);
+    let report: Value = serde_json::from_str(&run.stdout).unwrap();
+    assert_eq!(report["file"], "two.gltf");
+    assert_eq!(report["size"], json!([40, 30]));
+    let frame = &report["frames"][0];
+    assert_eq!(frame["output"], "out.png");
+    assert_eq!(frame["device"]["executor"], "cpu");
+    assert_eq!((&frame["compile"]["triangles"], &frame["compile"]["instances"]), (&json!(1), &json!(1)));
+    assert!(frame["trace_time"].as_f64().unwrap() > 0.0);
+    assert_eq!(run.files, ["out.png"]);
+}
+
+#[test]
+fn stats_are_tables() {
+    let run = render_small(&folder(), &["two.gltf", "--stats"]);
+    for expected in ["two.gltf", "40x30, 1200 primary rays", "rebuilt (new scene)", "trace", "wrote out.png"] {
+        assert!(run.stdout.contains(expected), "no {expected:?} in\n{}", run.stdout);
+    }
+}
+
+#[test]
+fn a_turntable_is_numbered_and_builds_nothing_after_its_first_frame() {
+    let folder = folder();
+    let run = render_small(&folder, &["two.gltf", "--frames", "10", "-o", "turn.png", "--json"]);
+    let expected: Vec<_> = (1..=10).map(|i| format!("turn-{i:02}.png")).collect();
+    assert_eq!(run.files, expected);
+    assert_ne!(pixels(&folder, "turn-01.png"), pixels(&folder, "turn-03.png"));
+
+    let report: Value = serde_json::from_str(&run.stdout).unwrap();
+    let frames = report["frames"].as_array().unwrap();
+    assert_eq!(frames.len(), 10);
+    for frame in &frames[1..] {
+        assert_eq!(frame["compile"]["tlas"], "kept");
+        assert_eq!(frame["compile"]["blas_built"], 0);
+    }
+}
+
+#[test]
+fn help_and_version_are_answers() {
+    let folder = folder();
+    for (argument, expected) in [("--help", "--camera <NAME|INDEX>"), ("--version", "render ")] {
+        let run = render(&folder, &[argument]);
+        assert_eq!((run.code, run.stderr.as_str()), (Some(0), ""));
+        assert!(run.stdout.contains(expected), "{}", run.stdout);
+        assert_eq!(run.files, [""; 0]);
+    }
+}
+
+/// Expects exit code 2, one line that contains each of `named`, nothing on standard output, and no new file.
+#[track_caller]
+fn assert_refused(folder: &TempDir, arguments: &[&str], named: &[&str]) {
+    let run = render(folder, arguments);
+    assert_eq!(run.code, Some(2), "{arguments:?}: {}", run.stderr);
+    assert!(run.stderr.starts_with("error: ") && run.stderr.lines().count() == 1, "{arguments:?}: {}", run.stderr);
+    for name in named {
+        assert!(run.stderr.contains(name), "{arguments:?}: no {name:?} in {}", run.stderr);
+    }
+    assert_eq!(run.stdout, "", "{arguments:?}");
+    assert_eq!(run.files, [""; 0], "{arguments:?}");
+}
+
+#[test]
+fn bad_arguments_are_refused_in_one_line() {
+    let folder = folder();
+    fs::create_dir(folder.path().join("folder.png")).unwrap();
+    for (arguments, named) in [
+        (&["--size", "12"][..], &["--size", "12", "960x600"][..]),
+        (&["--size", "0x10"], &["--size", "0x10", "from 1"]),
+        (&["--size", "-5x10"], &["-5"]),
+        (&["--size", "99999999999x1"], &["--size", "16384"]),
+        (&["--size", "16384x16384", "--samples", "16"], &["--size", "--samples", "134217728"]),
+        (&["--samples", "0"], &["--samples"]),
+        (&["--device", "abacus"], &["--device", "abacus", "emulated"]),
+        (&["--depth", "9"], &["--depth", "9", "8"]),
+        (&["--depth", "-1"], &["-1"]),
+        (&["--frames", "0"], &["--frames", "0"]),
+        (&["--frames", "many"], &["--frames", "many"]),
+        (&["-o", "out.jpg"], &["out.jpg", ".png", ".exr"]),
+        (&["-o", "no/such/folder/out.png"], &["no/such/folder"]),
+        (&["--device", "cpu", "--size", "8x8", "-o", "folder.png"], &["folder.png"]),
+        (&["--camera", "middle"], &["middle", "camera"]),
+        (&["--camera", "1"], &["\"1\"", "camera"]),
+        (&["two.gltf", "--camera", "middle"], &["middle", "\"left\"", "\"right\""]),
+        (&["two.gltf", "--camera", "2"], &["\"2\"", "\"left\""]),
+        (&["two.gltf", "--scene", "nothing", "--camera", "0"], &["\"0\"", "none"]),
+        (&["two.gltf", "--scene", "2"], &["two.gltf", "2"]),
+        (&["two.gltf", "--scene", "blue"], &["two.gltf", "blue"]),
+        (&["--scene", "red"], &["--scene", "no file"]),
+        (&["two.gltf", "three.gltf"], &["three.gltf"]),
+        (&["--spp"], &["--spp"]),
+    ] {
+        assert_refused(&folder, arguments, named);
+    }
+}
+
+#[test]
+fn bad_files_are_refused_in_one_line_that_names_file_object_and_cause() {
+    let folder = folder();
+    let write = |name: &str, content: &[u8]| fs::write(folder.path().join(name), content).unwrap();
+    write("empty.glb", b"");
+    write("text.gltf", b"Dear reader,\nthis is not JSON");
+    write("picture.glb", b"\x89PNG\r\n\x1a\n0123456789abcdef");
+    write("cut.gltf", &two_scenes().to_string().as_bytes()[..300]);
+    fs::create_dir(folder.path().join("folder.gltf")).unwrap();
+    let edited = |name: &str, pointer: &str, value: Value| {
+        let mut document = two_scenes();
+        *document.pointer_mut(pointer).unwrap() = value;
+        write(name, document.to_string().as_bytes());
+    };
+    edited("cycle.gltf", "/nodes/0", json!({"children": [0]}));
+    edited("range.gltf", "/nodes/0/mesh", json!(7));
+    edited("short.gltf", "/accessors/0/count", json!(4000));
+    let mut draco = two_scenes();
+    draco["extensionsUsed"] = json!(["KHR_draco_mesh_compression"]);
+    draco["extensionsRequired"] = json!(["KHR_draco_mesh_compression"]);
+    write("draco.gltf", draco.to_string().as_bytes());
+
+    for (file, named) in [
+        ("missing.glb", &["missing.glb"][..]),
+        ("empty.glb", &["empty.glb"]),
+        ("text.gltf", &["text.gltf"]),
+        ("picture.glb", &["picture.glb"]),
+        ("cut.gltf", &["cut.gltf"]),
+        ("folder.gltf", &["folder.gltf"]),
+        ("cycle.gltf", &["cycle.gltf", "/nodes/0"]),
+        ("range.gltf", &["range.gltf", "/nodes/0/mesh", "7"]),
+        ("short.gltf", &["short.gltf", "/accessors/0"]),
+        ("draco.gltf", &["draco.gltf", "KHR_draco_mesh_compression"]),
+    ] {
+        assert_refused(&folder, &[file], named);
+    }
+}
+
+#[test]
+fn an_older_picture_survives_a_failed_run() {
+    let folder = folder();
+    fs::write(folder.path().join("out.png"), "old").unwrap();
+    assert_refused(&folder, &["missing.glb"], &["missing.glb"]);
+    assert_eq!(fs::read(folder.path().join("out.png")).unwrap(), b"old");
+}
