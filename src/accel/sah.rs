@@ -70,14 +70,34 @@ impl<'a> Task<'a> {
         if count == 1 {
             return self.make_leaf();
         }
+        if count == 2 {
+            return self.pair(worker.params);
+        }
         let can_be_leaf = count <= worker.params.max_leaf_size;
         let scale = unit_scale(&self.extent.bounds);
+        let params = worker.params;
         match self.find_split(scale, worker) {
-            Some((split, _)) if can_be_leaf && self.is_leaf_cheaper(&split, scale, worker.params) => self.make_leaf(),
+            Some((split, _)) if can_be_leaf && self.is_leaf_cheaper(split.cost, scale, params) => self.make_leaf(),
             Some((split, chunks)) => self.split(&split, &chunks, worker),
             None if can_be_leaf => self.make_leaf(),
             None => self.halve(worker),
         }
+    }
+
+    /// One leaf or two, without binning: no other count is as common.
+    fn pair(self, params: &SahParams) -> u32 {
+        let scale = unit_scale(&self.extent.bounds);
+        let boxes = [0, 1].map(|i| self.references[i].bounds());
+        let split_cost = boxes[0].half_area(scale) + boxes[1].half_area(scale);
+        if params.max_leaf_size >= 2 && self.is_leaf_cheaper(split_cost, scale, params) {
+            return self.make_leaf();
+        }
+        self.nodes[0] = BuildNode::new(&self.extent.bounds, 3, 1);
+        for (i, bounds) in boxes.iter().enumerate() {
+            self.nodes[1 + i] = BuildNode::new(bounds, 1, 0);
+            self.order[i] = self.references[i].primitive();
+        }
+        3
     }
 
     /// The best split, and the bins of each chunk where the node is large. `None` where the heuristic has nothing to say:
@@ -96,9 +116,10 @@ impl<'a> Task<'a> {
         Some((worker.bins.best_split(&binning, scale)?, chunks))
     }
 
-    /// An inner node costs the fetch of both children, even of one that the ray then misses.
-    fn is_leaf_cheaper(&self, split: &Split, scale: f32, params: &SahParams) -> bool {
-        let inner_cost = 2.0 + params.primitive_cost * split.cost / self.extent.bounds.half_area(scale);
+    /// `split_cost` is the sum of primitive count times scaled half area over both children. An inner node also costs the
+    /// fetch of both children, even of one that the ray then misses.
+    fn is_leaf_cheaper(&self, split_cost: f32, scale: f32, params: &SahParams) -> bool {
+        let inner_cost = 2.0 + params.primitive_cost * split_cost / self.extent.bounds.half_area(scale);
         params.primitive_cost * self.references.len() as f32 <= inner_cost
     }
 

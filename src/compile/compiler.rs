@@ -14,7 +14,7 @@ use super::{Needs, pack};
 use crate::Result;
 use crate::device::DeviceArrays;
 use crate::graph::{Change, Changes, Core, Cursor, Hierarchy, NodeKey, Object, Scene};
-use crate::math::Bounds;
+use crate::math::{Aabb, Bounds};
 
 /// Turns one scene after another, or one scene edit by edit, into [`DeviceArrays`].
 ///
@@ -202,13 +202,21 @@ impl Compiler {
     /// 2.3e-10 of the scene's radius inside it, and outside it less than a thousandth of a pixel at the nearest geometry.
     fn rebase(&mut self, eye: DVec3, new_scene: bool) -> bool {
         let relative = eye - self.origin;
-        let bounds = Bounds::from(self.instances.bounds());
+        let bounds = self.scene_bounds();
         let to_scene = (bounds.min - relative).max(relative - bounds.max).max(DVec3::ZERO).length();
-        let limit = (bounds.radius() / 256.0).max(to_scene * 16.0);
+        let limit = if bounds.is_empty() { 0.0 } else { (bounds.radius() / 256.0).max(to_scene * 16.0) };
         if !new_scene && relative.length() <= limit {
             return false;
         }
         std::mem::replace(&mut self.origin, eye) != eye
+    }
+
+    /// The box around all instances as they were last compiled, relative to the render origin.
+    fn scene_bounds(&self) -> Bounds {
+        match self.arrays.tlas_nodes.first() {
+            Some(root) => Aabb { min: root.min.into(), max: root.max.into() }.into(),
+            None => Bounds::EMPTY,
+        }
     }
 
     /// Finds the visible geometry and light nodes. O(nodes).

@@ -138,11 +138,6 @@ impl InstanceTable {
         }
         totals
     }
-
-    /// The box around all of them, relative to the render origin.
-    pub(super) fn bounds(&self) -> Aabb {
-        self.boxes.iter().fold(Aabb::EMPTY, |all, &b| all.union(b))
-    }
 }
 
 /// The device record and the world box of a member; zeros and an empty box if it cannot be hit.

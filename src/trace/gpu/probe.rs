@@ -88,7 +88,7 @@ fn verdict(outcomes: &[Outcome]) -> Result<(), String> {
     match expected.iter().zip(outcomes).find(|(expected, outcome)| outcome.turns < expected.turns) {
         Some((expected, outcome)) => Err(format!(
             "the driver ends shader loops after {} of {} turns without an error, so images would be wrong; upgrade it \
-             (Mesa: 22.3 is known to, 25.0 not to)",
+             (Mesa 22.3 does this, 25.0 does not)",
             outcome.turns, expected.turns
         )),
         None if expected != outcomes => {
