@@ -139,7 +139,7 @@ fn emulated_and_cpu_make_the_same_picture() {
     render_small(&folder, &["--size", "24x15", "-o", "cpu.png"]);
     let run = render(&folder, &["--device", "emulated", "--size", "24x15", "--samples", "1", "-o", "emulated.png"]);
     assert_eq!(run.code, Some(0), "{}", run.stderr);
-    assert_eq!(pixels(&folder, "cpu.png"), pixels(&folder, "emulated.png"));
+    assert!(pixels(&folder, "cpu.png") == pixels(&folder, "emulated.png"));
 }
 
 #[test]
@@ -176,8 +176,8 @@ fn depth_says_how_often_a_ray_is_reflected() {
     render_small(&folder, &["--depth", "0", "-o", "0.png"]);
     render_small(&folder, &["-o", "default.png"]);
     render_small(&folder, &["--depth", "3", "-o", "3.png"]);
-    assert_ne!(pixels(&folder, "0.png"), pixels(&folder, "3.png"));
-    assert_eq!(pixels(&folder, "default.png"), pixels(&folder, "3.png"));
+    let [none, default, three] = ["0.png", "default.png", "3.png"].map(|name| pixels(&folder, name));
+    assert!(none != three && default == three);
 }
 
 #[test]
@@ -231,7 +231,7 @@ fn a_turntable_is_numbered_and_builds_nothing_after_its_first_frame() {
     let run = render_small(&folder, &["two.gltf", "--frames", "10", "-o", "turn.png", "--json"]);
     let expected: Vec<_> = (1..=10).map(|i| format!("turn-{i:02}.png")).collect();
     assert_eq!(run.files, expected);
-    assert_ne!(pixels(&folder, "turn-01.png"), pixels(&folder, "turn-03.png"));
+    assert!(pixels(&folder, "turn-01.png") != pixels(&folder, "turn-03.png"));
 
     let report: Value = serde_json::from_str(&run.stdout).unwrap();
     let frames = report["frames"].as_array().unwrap();

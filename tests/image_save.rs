@@ -100,6 +100,17 @@ fn a_new_file_replaces_an_old_one() {
 }
 
 #[test]
+fn an_old_file_is_replaced_at_once_and_not_overwritten_bit_by_bit() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, other_name) = (folder.path().join("out.png"), folder.path().join("same file"));
+    fs::write(&path, "old").unwrap();
+    fs::hard_link(&path, &other_name).unwrap();
+    gradient().save(&path).unwrap();
+    assert_eq!(fs::read(&other_name).unwrap(), b"old");
+    assert!(fs::read(&path).unwrap().starts_with(b"\x89PNG"));
+}
+
+#[test]
 fn other_endings_are_refused_by_name() {
     let folder = tempfile::tempdir().unwrap();
     for name in ["out.jpg", "out", "png", ".exr", "out.png.bak"] {
