@@ -1,9 +1,9 @@
 //! Direct light against glTF's formulas in f64, and shadows.
 
 use glam::{DAffine3, DVec3, Vec3, Vec4};
-use ropewalk::{AlphaMode, LightKind, Material, Scene};
+use ropewalk::{AlphaMode, Geometry, LightKind, Material, Scene};
 
-use super::scenes::{at, black, front, middle, put, put_light, render, square};
+use super::scenes::{at, black, cube, front, middle, put, put_light, render, square};
 
 /// What a dielectric of ior 1.5, roughness 1 and this base colour reflects straight up (+Z) of light from an angle to it, times
 /// the cosine: appendix B of glTF 2.0.
@@ -46,12 +46,16 @@ fn neither_side_is_lit_through_the_surface() {
 
 /// What is left of the light on a floor below a screen of this material.
 fn left_below(screen: Material) -> Vec3 {
+    left_below_shape(square(0.5), screen)
+}
+
+fn left_below_shape(shape: Geometry, screen: Material) -> Vec3 {
     let lit = |screen: Option<Material>| {
         let mut scene = Scene::new();
         put(&mut scene, square(1.0), Material::default(), DAffine3::IDENTITY);
         // Off the line of sight, on the way of the light.
         if let Some(material) = screen {
-            put(&mut scene, square(0.5), material, at(2.0, 0.0, 2.0));
+            put(&mut scene, shape.clone(), material, at(2.0, 0.0, 2.0));
         }
         put_light(&mut scene, LightKind::Point, 50.0, DVec3::new(4.0, 0.0, 4.0), DVec3::ZERO);
         middle(&mut scene, black())
@@ -69,8 +73,10 @@ fn shadows_let_through_what_the_material_does() {
     let blend = Material { alpha_mode: AlphaMode::Blend, ..surface.clone() };
     assert!((left_below(blend) - Vec3::splat(0.75)).abs().max_element() < 1e-5, "blend");
     let glass = Material { transmission: 1.0, ..surface.clone() };
-    let expected = Vec3::new(1.0, 0.7, 0.2) * part;
-    assert!((left_below(glass.clone()) - expected).abs().max_element() < 1e-5, "half of a solid of glass");
+    let expected = orange.truncate() * part;
+    assert!((left_below(glass.clone()) - expected).abs().max_element() < 1e-5, "a pane");
+    let solid = left_below_shape(cube(), glass.clone());
+    assert!((solid - expected * part).abs().max_element() < 1e-5, "a solid: tinted once, reflecting twice");
     let half = Material { transmission: 0.5, metallic: 0.5, ..glass };
     assert!(
         (left_below(half) - expected * 0.25).abs().max_element() < 1e-5,

@@ -43,6 +43,24 @@ fn blended_layers_cover_what_is_behind() {
 }
 
 #[test]
+fn panes_do_not_bend_light() {
+    let mut scene = Scene::new();
+    let pane = Material { base_color: Vec4::new(0.5, 1.0, 0.25, 1.0), ..Material::glass(1.5) };
+    put(&mut scene, square(2.0), pane, DAffine3::from_rotation_y(1.0));
+    let sky = Sky { up: Vec3::Z, zenith: Vec3::ZERO, horizon: Vec3::ZERO, ground: Vec3::ONE };
+    // From both sides: straight ahead there is 1, tinted once, less one reflection, which sees the sky -cos(2) below its horizon.
+    for (eye, up) in [(DVec3::Z * 4.0, Vec3::Z), (DVec3::Z * -4.0, Vec3::NEG_Z)] {
+        let camera = Camera::Orthographic { x_mag: 0.1, y_mag: 0.1 };
+        let mut view = View::look_at(eye, DVec3::ZERO, DVec3::Y, camera, 1, 1);
+        view.sky = Sky { up, ..sky };
+        let expected = Vec3::new(0.5, 1.0, 0.25) * (1.0 - fresnel(1.0f64.cos(), 1.0 / 1.5)) as f32;
+        let mirrored = (-2.0f64.cos() * fresnel(1.0f64.cos(), 1.0 / 1.5)) as f32;
+        let found = Vec3::from_slice(&render(&mut scene, &view).color[0]);
+        assert!((found - expected - mirrored).abs().max_element() < 1e-5, "{found}, expected {expected}");
+    }
+}
+
+#[test]
 fn glass_cubes_shift_what_is_behind_without_turning_it() {
     // A ray through two parallel faces of glass goes on in its direction: its colour is the sky's there, less two
     // reflections.
