@@ -1,5 +1,7 @@
 //! The one call a frame, from the outside: what it reports, and that where a scene lies does not matter.
 
+#![expect(clippy::unwrap_used, reason = "a panic in a test is a failure")]
+
 use glam::{DQuat, DVec3, Vec3};
 use ropewalk::compile::{RebuildReason, TlasUpdate};
 use ropewalk::{

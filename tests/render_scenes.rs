@@ -1,5 +1,7 @@
 //! Every real scene is imported and drawn, whole.
 
+#![expect(clippy::unwrap_used, clippy::panic, reason = "a panic in a test is a failure")]
+
 #[path = "gltf_import/corpus.rs"]
 mod corpus;
 

@@ -56,6 +56,11 @@ fn meets_box(ray: SlabRay, t_min: f32, t_max: f32, box_min: vec3<f32>, box_max: 
     return t_near * BOX_SLACK <= t_far;
 }
 
+// For each corner the greater of the other two corners' values: those of the edge across.
+fn greater_of_others(v: vec3<f32>) -> vec3<f32> {
+    return vec3<f32>(max(v.y, v.z), max(v.z, v.x), max(v.x, v.y));
+}
+
 // 1 over the greatest power of two that is not above `value`.
 fn reciprocal_power_of_two(value: f32) -> f32 {
     let exponent = min(bitcast<u32>(value) >> 23u, 253u);
@@ -122,6 +127,16 @@ fn cross_triangle(ray: ShearRay, triangle: Triangle) -> Crossing {
     let tolerance = EDGE_TOLERANCE * (depth * (x_extent + y_extent) + 4.0 * (x_extent * y_extent));
     if min_component(weights) < -tolerance {
         return Crossing();
+    }
+    // Rarely needed: an edge with both corners near the ray is known better than that.
+    if min_component(weights) < 0.0 {
+        let edge_x = greater_of_others(abs(x));
+        let edge_y = greater_of_others(abs(y));
+        let edge_z = greater_of_others(abs(t)) * ray.depth_scale;
+        let tolerances = EDGE_TOLERANCE * (edge_z * (edge_x + edge_y) + 4.0 * (edge_x * edge_y));
+        if min_component(weights + tolerances) < 0.0 {
+            return Crossing();
+        }
     }
 
     // 3. The point, inside the triangle whatever was rounded.

@@ -2,7 +2,7 @@
 
 // The least cosine between a shading normal and the geometric one, and between a normal and the direction of view; also the
 // least slope at which a secondary ray leaves.
-const GRAZING: f32 = 6.103515625e-5; // 2^-14
+const GRAZING: f32 = 9.765625e-4; // 2^-10
 
 struct Surface {
     position: vec3<f32>,

@@ -4,9 +4,9 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::flatten::flatten;
-use super::sah::{self, SahParams, TASK_MINIMUM};
+use super::sah::{self, SahParams};
 use super::stats::Stats;
-use super::tree::{Extent, Reference};
+use super::tree::{Extent, Reference, TASK_MINIMUM};
 use super::validate::{StructureError, check_nodes};
 use crate::Result;
 use crate::device::layout::{Node, PrimitiveRange, Triangle};

@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 
-use super::tree::{BuildNode, BuildTree, slot_count};
+use super::tree::{BuildNode, BuildTree, right_child};
 use crate::device::layout::{NONE, Node, PrimitiveRange};
 
 /// Subtrees of fewer nodes are flattened by one thread.
@@ -63,7 +63,8 @@ impl Subtree<'_> {
 
     /// Both children, the one with the larger surface first.
     fn children(self, left_primitives: usize) -> [Self; 2] {
-        let (left_slots, right_slots) = self.slots[1..].split_at(slot_count(left_primitives));
+        let right = right_child(self.order.len(), left_primitives, self.slots[1].node_count);
+        let (left_slots, right_slots) = self.slots[1..].split_at(right);
         let (left_order, right_order) = self.order.split_at(left_primitives);
         let mut children = [(left_slots, left_order), (right_slots, right_order)];
         if half_area(&right_slots[0]) > half_area(&left_slots[0]) {

@@ -7,16 +7,13 @@ use glam::Vec4;
 use rayon::prelude::*;
 
 use super::bins::{Binning, Bins, CHUNK, PARALLEL_MINIMUM, Split};
-use super::tree::{BuildNode, BuildTree, Extent, LaneBox, Reference, slot_count};
+use super::tree::{BuildNode, BuildTree, Extent, LaneBox, Reference, TASK_MINIMUM, right_child, slot_count};
 
 /// No hierarchy has more levels than this: nodes below level 64 are halved by count, and 2^28 primitives can be halved 28
 /// times.
 pub const MAX_DEPTH: usize = (MAX_SAH_DEPTH + 29) as usize;
 
 const MAX_SAH_DEPTH: u32 = 64;
-
-/// Subtrees of fewer primitives are built by one thread.
-pub(super) const TASK_MINIMUM: usize = 1 << 10;
 
 /// What the heuristic weighs.
 #[derive(Clone, Copy)]
@@ -28,12 +25,12 @@ pub(super) struct SahParams {
 
 /// Builds a tree over references, `extent` being theirs. O(n log n).
 pub(super) fn build(mut references: Vec<Reference>, extent: &Extent, params: &SahParams) -> BuildTree {
-    let mut nodes = bytemuck::zeroed_vec(slot_count(references.len()));
-    let mut order = bytemuck::zeroed_vec(references.len());
+    let mut nodes: Vec<BuildNode> = bytemuck::zeroed_vec(slot_count(references.len()));
+    let mut order: Vec<u32> = bytemuck::zeroed_vec(references.len());
     if !references.is_empty() {
-        let mut spare = bytemuck::zeroed_vec(references.len());
-        let (references, spare, nodes, order) = (&mut *references, &mut *spare, &mut *nodes, &mut *order);
-        Task { references, spare, nodes, order, extent, depth: 0 }.run(&mut Worker::new(params));
+        let mut spare: Vec<Reference> = bytemuck::zeroed_vec(references.len());
+        let root = Task { references: &mut references, spare: &mut spare, order: &mut order, extent, depth: 0 };
+        root.run(&mut nodes, &mut Worker::new(params));
     }
     BuildTree { nodes, order }
 }
@@ -43,8 +40,6 @@ struct Task<'a> {
     references: &'a mut [Reference],
     /// As long as `references`: they are partitioned into it, and the two change places for the children.
     spare: &'a mut [Reference],
-    /// The subtree's slots.
-    nodes: &'a mut [BuildNode],
     order: &'a mut [u32],
     extent: &'a Extent,
     depth: u32,
@@ -63,38 +58,38 @@ impl<'a> Worker<'a> {
     }
 }
 
-impl<'a> Task<'a> {
-    /// Builds the subtree and returns the number of its nodes. Recursion is at most [`MAX_DEPTH`] deep.
-    fn run(self, worker: &mut Worker) -> u32 {
+impl Task<'_> {
+    /// Builds the subtree at the start of `nodes` and returns the number of its nodes. Recursion is at most [`MAX_DEPTH`] deep.
+    fn run(self, nodes: &mut [BuildNode], worker: &mut Worker) -> u32 {
         let count = self.references.len();
         if count == 1 {
-            return self.make_leaf();
+            return self.make_leaf(nodes);
         }
         if count == 2 {
-            return self.pair(worker.params);
+            return self.pair(nodes, worker.params);
         }
         let can_be_leaf = count <= worker.params.max_leaf_size;
         let scale = unit_scale(&self.extent.bounds);
         let params = worker.params;
         match self.find_split(scale, worker) {
-            Some((split, _)) if can_be_leaf && self.is_leaf_cheaper(split.cost, scale, params) => self.make_leaf(),
-            Some((split, chunks)) => self.split(&split, &chunks, worker),
-            None if can_be_leaf => self.make_leaf(),
-            None => self.halve(worker),
+            Some((split, _)) if can_be_leaf && self.is_leaf_cheaper(split.cost, scale, params) => self.make_leaf(nodes),
+            Some((split, chunks)) => self.split(&split, &chunks, nodes, worker),
+            None if can_be_leaf => self.make_leaf(nodes),
+            None => self.halve(nodes, worker),
         }
     }
 
     /// One leaf or two, without binning: no other count is as common.
-    fn pair(self, params: &SahParams) -> u32 {
+    fn pair(self, nodes: &mut [BuildNode], params: &SahParams) -> u32 {
         let scale = unit_scale(&self.extent.bounds);
         let boxes = [0, 1].map(|i| self.references[i].bounds());
         let split_cost = boxes[0].half_area(scale) + boxes[1].half_area(scale);
         if params.max_leaf_size >= 2 && self.is_leaf_cheaper(split_cost, scale, params) {
-            return self.make_leaf();
+            return self.make_leaf(nodes);
         }
-        self.nodes[0] = BuildNode::new(&self.extent.bounds, 3, 1);
+        nodes[0] = BuildNode::new(&self.extent.bounds, 3, 1);
         for (i, bounds) in boxes.iter().enumerate() {
-            self.nodes[1 + i] = BuildNode::new(bounds, 1, 0);
+            nodes[1 + i] = BuildNode::new(bounds, 1, 0);
             self.order[i] = self.references[i].primitive();
         }
         3
@@ -123,7 +118,7 @@ impl<'a> Task<'a> {
         params.primitive_cost * self.references.len() as f32 <= inner_cost
     }
 
-    fn split(self, split: &Split, chunks: &[Bins], worker: &mut Worker) -> u32 {
+    fn split(self, split: &Split, chunks: &[Bins], nodes: &mut [BuildNode], worker: &mut Worker) -> u32 {
         let [left_centers, right_centers] = if chunks.is_empty() {
             partition(self.references, self.spare, split)
         } else {
@@ -132,11 +127,11 @@ impl<'a> Task<'a> {
         let left = Extent { bounds: split.left, centers: left_centers };
         let right = Extent { bounds: split.right, centers: right_centers };
         let partitioned = Self { references: self.spare, spare: self.references, ..self };
-        partitioned.recurse(split.left_count, &left, &right, worker)
+        partitioned.recurse(split.left_count, &left, &right, nodes, worker)
     }
 
     /// Splits into two halves of equal count along the longest axis.
-    fn halve(self, worker: &mut Worker) -> u32 {
+    fn halve(self, nodes: &mut [BuildNode], worker: &mut Worker) -> u32 {
         let width = self.extent.centers.max - self.extent.centers.min;
         let axis = if width.x >= width.y && width.x >= width.z { 0 } else { 1 + usize::from(width.z > width.y) };
         let middle = self.references.len() / 2;
@@ -146,42 +141,43 @@ impl<'a> Task<'a> {
         });
         let (left, right) = self.references.split_at(middle);
         let (left, right) = (Extent::of(left), Extent::of(right));
-        self.recurse(middle, &left, &right, worker)
+        self.recurse(middle, &left, &right, nodes, worker)
     }
 
-    fn recurse(self, left_count: usize, left: &Extent, right: &Extent, worker: &mut Worker) -> u32 {
-        let is_large = self.references.len() >= TASK_MINIMUM;
-        let (root, slots) = self.nodes.split_at_mut(1);
-        let (left_nodes, right_nodes) = slots.split_at_mut(slot_count(left_count));
+    fn recurse(
+        self,
+        left_count: usize,
+        left: &Extent,
+        right: &Extent,
+        nodes: &mut [BuildNode],
+        worker: &mut Worker,
+    ) -> u32 {
+        let count = self.references.len();
+        let depth = self.depth + 1;
+        let (root, slots) = nodes.split_at_mut(1);
         let (left_order, right_order) = self.order.split_at_mut(left_count);
         let (left_references, right_references) = self.references.split_at_mut(left_count);
         let (left_spare, right_spare) = self.spare.split_at_mut(left_count);
-        let task = |references, spare, nodes, order, extent| Task {
-            references,
-            spare,
-            nodes,
-            order,
-            extent,
-            depth: self.depth + 1,
-        };
-        let left = task(left_references, left_spare, left_nodes, left_order, left);
-        let right = task(right_references, right_spare, right_nodes, right_order, right);
-        let (left_nodes, right_nodes) = if is_large {
-            let params = worker.params;
-            rayon::join(|| left.run(worker), || right.run(&mut Worker::new(params)))
+        let left = Task { references: left_references, spare: left_spare, order: left_order, extent: left, depth };
+        let right = Task { references: right_references, spare: right_spare, order: right_order, extent: right, depth };
+        let (left_nodes, right_nodes) = if count < TASK_MINIMUM {
+            let left_nodes = left.run(slots, worker);
+            (left_nodes, right.run(&mut slots[right_child(count, left_count, left_nodes)..], worker))
         } else {
-            (left.run(worker), right.run(worker))
+            let (left_slots, right_slots) = slots.split_at_mut(right_child(count, left_count, 0));
+            let params = worker.params;
+            rayon::join(|| left.run(left_slots, worker), || right.run(right_slots, &mut Worker::new(params)))
         };
         let node_count = 1 + left_nodes + right_nodes;
         root[0] = BuildNode::new(&self.extent.bounds, node_count, left_count as u32);
         node_count
     }
 
-    fn make_leaf(self) -> u32 {
+    fn make_leaf(self, nodes: &mut [BuildNode]) -> u32 {
         for (slot, reference) in self.order.iter_mut().zip(self.references.iter()) {
             *slot = reference.primitive();
         }
-        self.nodes[0] = BuildNode::new(&self.extent.bounds, 1, 0);
+        nodes[0] = BuildNode::new(&self.extent.bounds, 1, 0);
         1
     }
 }

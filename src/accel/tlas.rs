@@ -3,9 +3,9 @@
 use rayon::prelude::*;
 
 use super::flatten::flatten;
-use super::sah::{self, SahParams, TASK_MINIMUM};
+use super::sah::{self, SahParams};
 use super::stats::Stats;
-use super::tree::{Extent, Reference};
+use super::tree::{Extent, Reference, TASK_MINIMUM};
 use super::validate::{StructureError, check_nodes};
 use crate::device::layout::{Node, PrimitiveRange};
 use crate::math::Aabb;
@@ -42,12 +42,13 @@ impl Tlas {
     }
 
     fn build_here(boxes: &[Aabb], instances: &[u32]) -> Self {
-        let references: Vec<Reference> = placed(boxes, instances).map(|(b, i)| Reference::new(&b, i)).collect();
+        // Primitives are numbered by their place, so that the tree's shape does not depend on the instance indices.
+        let references: Vec<Reference> = placed(boxes).map(|(place, b)| Reference::new(&b, place)).collect();
         let extent = Extent::of(&references);
         let (mut nodes, order) = flatten(&sah::build(references, &extent, &PARAMS));
         nodes.par_iter_mut().with_min_len(1 << 14).for_each(|node| {
             if node.primitives != PrimitiveRange::INNER {
-                node.primitives = PrimitiveRange::leaf(order[node.primitives.first() as usize], 1);
+                node.primitives = PrimitiveRange::leaf(instances[order[node.primitives.first() as usize] as usize], 1);
             }
         });
         Self { nodes }
@@ -59,7 +60,7 @@ impl Tlas {
     /// # Errors
     /// The first [`StructureError`] found.
     pub fn validate(&self, boxes: &[Aabb], instances: &[u32]) -> Result<(), StructureError> {
-        let mut expected: Vec<(u32, Aabb)> = placed(boxes, instances).map(|(b, i)| (i, b)).collect();
+        let mut expected: Vec<(u32, Aabb)> = placed(boxes).map(|(place, b)| (instances[place as usize], b)).collect();
         expected.sort_unstable_by_key(|&(instance, _)| instance);
         let mut found = vec![false; expected.len()];
         check_nodes(&self.nodes, |range| {
@@ -77,12 +78,11 @@ impl Tlas {
     }
 }
 
-/// The instances that have a box, which is finite.
-fn placed(boxes: &[Aabb], instances: &[u32]) -> impl Iterator<Item = (Aabb, u32)> {
+/// The places of the boxes that are not empty, and those boxes made finite.
+fn placed(boxes: &[Aabb]) -> impl Iterator<Item = (u32, Aabb)> {
     let finite = glam::Vec3::splat(f32::MAX);
-    boxes
-        .iter()
-        .zip(instances)
-        .filter(|(b, _)| !b.is_empty())
-        .map(move |(b, &i)| (Aabb { min: b.min.clamp(-finite, finite), max: b.max.clamp(-finite, finite) }, i))
+    (0..)
+        .zip(boxes)
+        .filter(|(_, b)| !b.is_empty())
+        .map(move |(place, b)| (place, Aabb { min: b.min.clamp(-finite, finite), max: b.max.clamp(-finite, finite) }))
 }

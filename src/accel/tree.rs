@@ -8,8 +8,8 @@ use crate::math::Aabb;
 /// A binary tree over `order.len()` primitives.
 ///
 /// A subtree of `n` primitives owns `2 n - 1` consecutive slots of `nodes` (as many as it can have nodes) and `n` of
-/// `order`: its root comes first, then the slots of its left child, then those of its right child. So builders can fill
-/// subtrees in parallel, and nothing needs an index.
+/// `order`: its root comes first, then its left child, then its right child, at [`right_child`]. So threads can fill
+/// subtrees side by side, and nothing needs an index.
 pub(super) struct BuildTree {
     pub(super) nodes: Vec<BuildNode>,
     /// Primitive numbers, leaf after leaf.
@@ -36,6 +36,15 @@ impl BuildNode {
 /// How many slots of [`BuildTree::nodes`] a subtree owns.
 pub(super) fn slot_count(primitive_count: usize) -> usize {
     (2 * primitive_count).saturating_sub(1)
+}
+
+/// Subtrees of fewer primitives are built by one thread, and their nodes stand without gaps: memory that is never touched
+/// costs nothing.
+pub(super) const TASK_MINIMUM: usize = 1 << 10;
+
+/// Where the right child of a subtree of `primitive_count` primitives stands, counted from the left child.
+pub(super) fn right_child(primitive_count: usize, left_primitives: usize, left_nodes: u32) -> usize {
+    if primitive_count < TASK_MINIMUM { left_nodes as usize } else { slot_count(left_primitives) }
 }
 
 /// A box in two SIMD registers; what is in the fourth lanes means nothing.

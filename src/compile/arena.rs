@@ -32,9 +32,8 @@ impl Arena {
         }
         let limit = |needed| Error::Limit { what: self.what, needed, limit: u32::MAX.into(), hint: "" };
         let count = u32::try_from(values.len()).map_err(|_| limit(values.len() as u64))?;
-        let range = match self.allocator.allocate_range(count) {
-            Ok(range) => range,
-            Err(_) => return Err(limit(u64::from(count) + buffer.len() as u64)),
+        let Ok(range) = self.allocator.allocate_range(count) else {
+            return Err(limit(u64::from(count) + buffer.len() as u64));
         };
         buffer.write(range.start as usize, values);
         Ok(range)

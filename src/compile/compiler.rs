@@ -126,7 +126,7 @@ impl Compiler {
 
         // 2. Instance records and lights: of what moved, or of all.
         let ranges: Vec<Range<usize>> = if dirty.structure || rebased {
-            vec![0..self.instances.members().len()]
+            std::iter::once(0..self.instances.members().len()).collect()
         } else {
             let mut moved =
                 dirty.moved.iter().filter_map(|&node| Some(hierarchy.index(node)? as u32)).collect::<Vec<_>>();

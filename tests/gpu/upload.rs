@@ -40,6 +40,25 @@ fn one_changed_element_is_all_that_is_copied() {
 }
 
 #[test]
+fn scattered_changes_arrive_each_in_its_place() {
+    let Some(mut tracer) = tracer() else { return };
+    let mut random = Random::new(10);
+    let mut arrays = soup(400, &mut random);
+    tracer.upload(&mut arrays).unwrap();
+    let rays = rays(2000, &mut random);
+    for step in [2, 7, 50] {
+        let changed: Vec<usize> = (1..400).step_by(step).collect();
+        for &i in &changed {
+            // Its neighbour's triangles, in its own place.
+            let other = arrays.instances[i - 1].first_triangle;
+            arrays.instances.write(i, &[Instance { first_triangle: other, ..arrays.instances[i] }]);
+        }
+        assert_eq!(tracer.upload(&mut arrays).unwrap(), (changed.len() * size_of::<Instance>()) as u64);
+        agree(&mut tracer, &arrays, &rays);
+    }
+}
+
+#[test]
 fn an_executor_that_comes_later_copies_all() {
     let Some(mut tracer) = tracer() else { return };
     let mut random = Random::new(3);

@@ -18,6 +18,9 @@ const DURING: &str = "the upload of the scene";
 /// wgpu keeps a copy of all that it is given to write until the next submission, so there is one this often.
 const BYTES_PER_SUBMISSION: usize = 64 << 20;
 
+/// Changes of fewer bytes are gathered into one write.
+const SMALL_RANGE: usize = 16 << 10;
+
 /// A buffer is made smaller when its array needs less than one part in this many.
 const SHRINK: u64 = 4;
 
@@ -149,9 +152,11 @@ fn upload_array(context: &Context, source: &mut Source, slot: &mut Option<ArrayB
         context.submit(DURING, |encoder| encoder.copy_buffer_to_buffer(&old.buffer, 0, &buffer, 0, kept))?;
         buffer
     };
-    for range in &dirty {
-        write(context, &buffer, bytes, range.clone());
+    let (small, large): (Vec<_>, Vec<_>) = dirty.iter().cloned().partition(|range| range.len() < SMALL_RANGE);
+    for range in large {
+        write(context, &buffer, bytes, range);
     }
+    scatter(context, &buffer, bytes, &small)?;
     *slot = Some(ArrayBuffer { buffer, used });
     Ok(Copied { bytes: dirty.iter().map(|range| range.len() as u64).sum(), same_buffer })
 }
@@ -164,6 +169,30 @@ fn write(context: &Context, buffer: &wgpu::Buffer, bytes: &[u8], range: Range<us
             context.queue.submit([]);
         }
     }
+}
+
+/// Writes many small ranges at the cost of one write and as many copies on the GPU: a write of its own for each takes ten
+/// times as long.
+fn scatter(context: &Context, buffer: &wgpu::Buffer, bytes: &[u8], ranges: &[Range<usize>]) -> Result<()> {
+    for ranges in ranges.chunks(BYTES_PER_SUBMISSION / SMALL_RANGE) {
+        if let [range] = ranges {
+            write(context, buffer, bytes, range.clone());
+            continue;
+        }
+        let gathered: Vec<u8> = ranges.iter().flat_map(|range| &bytes[range.clone()]).copied().collect();
+        let usage = BufferUsages::COPY_DST | BufferUsages::COPY_SRC;
+        let scratch = context.buffer("changes", gathered.len() as u64, usage);
+        write(context, &scratch, &gathered, 0..gathered.len());
+        context.submit(DURING, |encoder| {
+            let mut from = 0;
+            for range in ranges {
+                let size = range.len() as u64;
+                encoder.copy_buffer_to_buffer(&scratch, from, buffer, range.start as u64, size);
+                from += size;
+            }
+        })?;
+    }
+    Ok(())
 }
 
 fn bind(

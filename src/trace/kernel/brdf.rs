@@ -187,7 +187,7 @@ mod tests {
     fn refraction_obeys_snell() {
         for eta in [1.0 / 1.5, 1.5, 1.0 / 2.4, 2.4] {
             for step in 1..500 {
-                let angle = f64::from(step) * 1e-3 * 3.14;
+                let angle = f64::from(step) * 1e-3 * std::f64::consts::PI;
                 let sine = angle.sin() * eta;
                 if sine < 0.999 {
                     let found = f64::from(refracted_cosine(angle.cos().abs() as f32, eta as f32));

@@ -16,7 +16,9 @@
 //! 2. **Triangle.** Let X, Y, Z be the largest |x|, |y|, |p.z| of its corners. The computed x is a product and a sum off x*:
 //!    at most v (Z + X). The corners reach both sides of the ray within twice that, [`CORNER_TOLERANCE`]. An edge function
 //!    is a difference of two products: at most v (2 Z (X + Y) + 4 X Y) off for its corners and 4 v X Y for its own three
-//!    operations. Twice the sum is the tolerance, [`EDGE_TOLERANCE`]; the factor two covers terms in v^2.
+//!    operations. Twice the sum is the tolerance, [`EDGE_TOLERANCE`]; the factor two covers terms in v^2. X, Y and Z may be
+//!    those of the edge's two corners alone: a tighter tolerance, so that a ray that leaves past a convex edge misses what
+//!    lies behind it.
 //! 3. **Box.** The ray meets the triangle at a mean P of the corners' p, and t = P.z / direction.z. A box around the
 //!    triangle has min <= corner, and rounding is monotonic: the computed min - origin is at most P. By its reciprocal, its
 //!    product, and S, the plane's computed t is at most 6 v beyond t; that of the far plane at most 6 v before it. The
@@ -96,6 +98,11 @@ pub(super) fn meets_box(ray: &SlabRay, t_min: f32, t_max: f32, node: &Node) -> b
     t_near * BOX_SLACK <= t_far
 }
 
+/// For each corner the greater of the other two corners' values: those of the edge across.
+fn greater_of_others(v: Vec3) -> Vec3 {
+    Vec3::new(max(v.y, v.z), max(v.z, v.x), max(v.x, v.y))
+}
+
 /// 1 over the greatest power of two that is not above `value`.
 pub(super) fn reciprocal_power_of_two(value: f32) -> f32 {
     let exponent = (value.to_bits() >> 23).min(253);
@@ -164,6 +171,15 @@ pub(super) fn cross_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<Cros
     let tolerance = EDGE_TOLERANCE * (depth * (x_extent + y_extent) + 4.0 * (x_extent * y_extent));
     if min_component(weights) < -tolerance {
         return None;
+    }
+    // Rarely needed: an edge with both corners near the ray is known better than that.
+    if min_component(weights) < 0.0 {
+        let (x, y, z) =
+            (greater_of_others(x.abs()), greater_of_others(y.abs()), greater_of_others(t.abs()) * ray.depth_scale);
+        let tolerances = EDGE_TOLERANCE * (z * (x + y) + 4.0 * (x * y));
+        if min_component(weights + tolerances) < 0.0 {
+            return None;
+        }
     }
 
     // 3. The point, inside the triangle whatever was rounded.

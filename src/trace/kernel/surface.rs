@@ -14,8 +14,9 @@ use super::texture::{image_coordinates, sample_texture};
 use crate::device::layout::{Hit, Instance, InstanceFlags, Material, MaterialFlags, NONE, Triangle};
 
 /// The least cosine between a shading normal and the geometric one, and between a normal and the direction of view; also
-/// the least slope at which a secondary ray leaves. A ray 12 seconds of arc above a surface is as good as in it.
-pub(crate) const GRAZING: f32 = 1.0 / (1 << 14) as f32;
+/// the least slope at which a secondary ray leaves. 3 minutes of arc, a fifth of the sun's radius: light from below that is
+/// as good as set.
+pub(crate) const GRAZING: f32 = 1.0 / (1 << 10) as f32;
 
 #[derive(Clone, Copy)]
 pub(crate) struct Surface {

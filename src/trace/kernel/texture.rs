@@ -156,7 +156,7 @@ mod tests {
 
     fn sample(flags: TextureFlags, u: f32, v: f32) -> f32 {
         let mut arrays = DeviceArrays::default();
-        let words: Vec<u32> = GREYS.iter().flatten().map(|grey| grey * 0x01_01_01 | 0xff00_0000).collect();
+        let words: Vec<u32> = GREYS.iter().flatten().map(|grey| (grey * 0x01_01_01) | 0xff00_0000).collect();
         // Texels of other textures before and after: what is read must lie within this one.
         let texels: Vec<u32> = [&[0xffff_ffff; 4][..], &words, &[0xffff_ffff; 4]].concat();
         arrays.texels.replace(&texels);
