@@ -35,6 +35,8 @@ impl Subject {
         let mut view = first_view(&scene, arguments)?;
         view.sky = sky;
         view.max_depth = arguments.depth;
+        // Only EXR files have room for depth, normals and ids.
+        view.aovs = arguments.output.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("exr"));
         light_if_dark(&mut scene, &view).map_err(|error| error.to_string())?;
 
         let bounds = scene.world_bounds(scene.root()).map_err(|error| error.to_string())?;
