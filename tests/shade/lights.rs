@@ -46,10 +46,10 @@ fn neither_side_is_lit_through_the_surface() {
 
 /// What is left of the light on a floor below a screen of this material.
 fn left_below(screen: Material) -> Vec3 {
-    left_below_shape(square(0.5), screen)
+    left_below_shape(&square(0.5), screen)
 }
 
-fn left_below_shape(shape: Geometry, screen: Material) -> Vec3 {
+fn left_below_shape(shape: &Geometry, screen: Material) -> Vec3 {
     let lit = |screen: Option<Material>| {
         let mut scene = Scene::new();
         put(&mut scene, square(1.0), Material::default(), DAffine3::IDENTITY);
@@ -75,7 +75,7 @@ fn shadows_let_through_what_the_material_does() {
     let glass = Material { transmission: 1.0, ..surface.clone() };
     let expected = orange.truncate() * part;
     assert!((left_below(glass.clone()) - expected).abs().max_element() < 1e-5, "a pane");
-    let solid = left_below_shape(cube(), glass.clone());
+    let solid = left_below_shape(&cube(), glass.clone());
     assert!((solid - expected * part).abs().max_element() < 1e-5, "a solid: tinted once, reflecting twice");
     let half = Material { transmission: 0.5, metallic: 0.5, ..glass };
     assert!(
