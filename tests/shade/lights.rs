@@ -45,17 +45,17 @@ fn neither_side_is_lit_through_the_surface() {
 }
 
 /// What is left of the light on a floor below a screen of this material.
-fn left_below(screen: &Material) -> Vec3 {
+fn left_below(screen: Material) -> Vec3 {
     left_below_shape(&square(0.5), screen)
 }
 
-fn left_below_shape(shape: &Geometry, screen: &Material) -> Vec3 {
-    let lit = |screen: Option<&Material>| {
+fn left_below_shape(shape: &Geometry, screen: Material) -> Vec3 {
+    let lit = |screen: Option<Material>| {
         let mut scene = Scene::new();
         put(&mut scene, square(1.0), Material::default(), DAffine3::IDENTITY);
         // Off the line of sight, on the way of the light.
         if let Some(material) = screen {
-            put(&mut scene, shape.clone(), material.clone(), at(2.0, 0.0, 2.0));
+            put(&mut scene, shape.clone(), material, at(2.0, 0.0, 2.0));
         }
         put_light(&mut scene, LightKind::Point, 50.0, DVec3::new(4.0, 0.0, 4.0), DVec3::ZERO);
         middle(&mut scene, black())
@@ -69,23 +69,23 @@ fn shadows_let_through_what_the_material_does() {
     let surface = Material { base_color: orange, ..Material::default() };
     let part = 1.0 - 0.04; // what enters at normal incidence
 
-    assert_eq!(left_below(&surface), Vec3::ZERO, "opaque");
+    assert_eq!(left_below(surface.clone()), Vec3::ZERO, "opaque");
     let blend = Material { alpha_mode: AlphaMode::Blend, ..surface.clone() };
-    assert!((left_below(&blend) - Vec3::splat(0.75)).abs().max_element() < 1e-5, "blend");
+    assert!((left_below(blend) - Vec3::splat(0.75)).abs().max_element() < 1e-5, "blend");
     let glass = Material { transmission: 1.0, ..surface.clone() };
     let expected = orange.truncate() * part;
-    assert!((left_below(&glass) - expected).abs().max_element() < 1e-5, "a pane");
-    let solid = left_below_shape(&cube(), &glass);
+    assert!((left_below(glass.clone()) - expected).abs().max_element() < 1e-5, "a pane");
+    let solid = left_below_shape(&cube(), glass.clone());
     assert!((solid - expected * part).abs().max_element() < 1e-5, "a solid: tinted once, reflecting twice");
     let half = Material { transmission: 0.5, metallic: 0.5, ..glass };
     assert!(
-        (left_below(&half) - expected * 0.25).abs().max_element() < 1e-5,
+        (left_below(half) - expected * 0.25).abs().max_element() < 1e-5,
         "half of it transmits, half of that is metal"
     );
     let hole = Material { alpha_mode: AlphaMode::Mask { cutoff: 0.3 }, ..surface.clone() };
-    assert_eq!(left_below(&hole), Vec3::ONE, "a hole");
+    assert_eq!(left_below(hole), Vec3::ONE, "a hole");
     let solid = Material { alpha_mode: AlphaMode::Mask { cutoff: 0.2 }, ..surface };
-    assert_eq!(left_below(&solid), Vec3::ZERO, "no hole");
+    assert_eq!(left_below(solid), Vec3::ZERO, "no hole");
 }
 
 #[test]
