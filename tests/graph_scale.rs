@@ -1,7 +1,7 @@
 //! Scenes that are very deep, very wide or very large: nothing overflows the stack, and edits cost what they change.
 
 use glam::DVec3;
-use ropewalk::{Error, Keep, Scene, Transform};
+use ropewalk::{Error, Keep, NodeKey, Scene, Transform};
 
 const STEP: DVec3 = DVec3::new(1.0, 0.0, 0.0);
 
