@@ -19,8 +19,10 @@ use ropewalk::trace::{Cpu, Emulated, Tracer};
 
 /// Every executor; the GPU where there is one.
 pub fn tracers() -> Vec<Box<dyn Tracer>> {
-    let mut tracers: Vec<Box<dyn Tracer>> = vec![Box::new(Emulated::default()), Box::new(Cpu::default())];
+    let cpus: [Box<dyn Tracer>; 2] = [Box::new(Emulated::default()), Box::new(Cpu::default())];
     #[cfg(feature = "gpu")]
-    tracers.extend(gpu::tracer().map(|gpu| Box::new(gpu) as Box<dyn Tracer>));
-    tracers
+    let gpu = gpu::tracer().map(|gpu| Box::new(gpu) as Box<dyn Tracer>);
+    #[cfg(not(feature = "gpu"))]
+    let gpu = None;
+    cpus.into_iter().chain(gpu).collect()
 }
