@@ -2,11 +2,7 @@
 
 // Light as it arrives at a point.
 struct Arrival {
-    // Towards the light; for a point or spot, all the way to it.
-    to_light: vec3<f32>,
-    // Where the light is, in units of `to_light`.
-    t_max: f32,
-    // Unit.
+    // Unit, towards the light.
     direction: vec3<f32>,
     // Of a surface that faces the light: lux times colour.
     irradiance: vec3<f32>,
@@ -16,7 +12,8 @@ struct Arrival {
 fn direct_light(surface: Surface, to_viewer: vec3<f32>) -> vec3<f32> {
     var sum = vec3<f32>(0.0);
     for (var i = 0u; i < params.light_count; i += 1u) {
-        let arrival = light_at(lights[i], surface);
+        let light = lights[i];
+        let arrival = light_at(light, surface.position);
         let facing = dot3(surface.geometric_normal, arrival.direction);
         if facing < GRAZING || max_component(arrival.irradiance) <= 0.0 {
             continue;
@@ -25,22 +22,21 @@ fn direct_light(surface: Surface, to_viewer: vec3<f32>) -> vec3<f32> {
         if max_component(reflected) <= 0.0 {
             continue;
         }
-        let shadow_ray = Ray(leave(surface, arrival.direction), 0.0, arrival.to_light, arrival.t_max);
-        let visible = transmittance(shadow_ray, params.ray_mask) * terminator(surface, arrival.direction, facing);
+        let to_light = shadow_ray(light, leave(surface, arrival.direction));
+        let visible = transmittance(to_light, params.ray_mask) * terminator(surface, arrival.direction, facing);
         sum += reflected * visible;
     }
     return sum;
 }
 
-fn light_at(light: Light, surface: Surface) -> Arrival {
+fn light_at(light: Light, point: vec3<f32>) -> Arrival {
     if light.kind == LIGHT_DIRECTIONAL {
-        return Arrival(-light.direction, F32_MAX, -light.direction, light.color);
+        return Arrival(-light.direction, light.color);
     }
-    let start = leave(surface, light.position - surface.position);
-    let to_light = light.position - start;
+    let to_light = light.position - point;
     let distance = length3(to_light);
-    if !(distance > 0.0) {
-        return Arrival(to_light, 1.0, to_light, vec3<f32>(0.0));
+    if distance <= 0.0 {
+        return Arrival(to_light, vec3<f32>(0.0));
     }
     let direction = to_light * (1.0 / distance);
     var strength = range_window(distance, light.range) / (distance * distance);
@@ -48,7 +44,15 @@ fn light_at(light: Light, surface: Surface) -> Arrival {
         let cone = clamp(-dot3(light.direction, direction) * light.cone_scale + light.cone_offset, 0.0, 1.0);
         strength *= cone * cone;
     }
-    return Arrival(to_light, 1.0, direction, light.color * strength);
+    return Arrival(direction, light.color * strength);
+}
+
+// From a point to a light, and no farther.
+fn shadow_ray(light: Light, start: vec3<f32>) -> Ray {
+    if light.kind == LIGHT_DIRECTIONAL {
+        return Ray(start, 0.0, -light.direction, F32_MAX);
+    }
+    return Ray(start, 0.0, light.position - start, 1.0);
 }
 
 // Falls smoothly to 0 at the light's range.

@@ -1,11 +1,13 @@
 //! One bottom-level structure a geometry, kept while some visible node uses that version of the geometry.
 
 use std::ops::Range;
+use std::sync::OnceLock;
 
 use rayon::prelude::*;
 use slotmap::SecondaryMap;
 
 use super::arena::Arena;
+use super::enclosure::encloses;
 use crate::Result;
 use crate::accel::{Blas, BuildParams};
 use crate::device::DeviceArrays;
@@ -44,6 +46,16 @@ pub(super) struct Entry {
     pub(super) triangle_count: usize,
     /// Of its triangles, local space.
     pub(super) bounds: Aabb,
+    /// The geometry itself: its streams are shared with the scene.
+    source: Geometry,
+    encloses: OnceLock<bool>,
+}
+
+impl Entry {
+    /// Whether the geometry encloses a solid. Found out when first asked for: only transmissive materials do.
+    pub(super) fn encloses(&self) -> bool {
+        *self.encloses.get_or_init(|| encloses(&self.source))
+    }
 }
 
 /// What [`GeometryCache::update`] did.
@@ -153,6 +165,8 @@ impl GeometryCache {
             colors,
             triangle_count: geometry.indices.len(),
             bounds: blas.bounds,
+            source: geometry.clone(),
+            encloses: OnceLock::new(),
         })
     }
 

@@ -5,12 +5,13 @@ use std::ops::Range;
 use glam::DVec3;
 use slotmap::SecondaryMap;
 
+use super::Needs;
 use super::geometry_cache::GeometryCache;
 use super::material_table::MaterialTable;
 use super::pack::Placement;
 use crate::accel::Tlas;
 use crate::device::DeviceArrays;
-use crate::device::layout::Instance;
+use crate::device::layout::{Instance, InstanceFlags};
 use crate::graph::{GeometryKey, Hierarchy, MaterialKey, NodeKey};
 use crate::math::Aabb;
 
@@ -156,5 +157,7 @@ fn place(member: &Member, sources: &Sources<'_>) -> (Instance, Aabb) {
     let Some(placement) = Placement::new(world_from_local, sources.origin, &geometry.bounds) else { return nothing };
     let indices = [geometry.nodes.start, geometry.triangles.start, geometry.streams.start, material.record.start];
     let mask = sources.hierarchy.masks()[preorder];
-    (placement.instance(indices, mask, material.instance_flags, member.node), placement.bounds)
+    let mut flags = material.instance_flags;
+    flags.set(InstanceFlags::THIN, material.needs.contains(Needs::REFRACTION) && !geometry.encloses());
+    (placement.instance(indices, mask, flags, member.node), placement.bounds)
 }

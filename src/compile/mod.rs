@@ -2,6 +2,7 @@
 
 mod arena;
 mod compiler;
+mod enclosure;
 mod geometry_cache;
 mod instance_table;
 mod material_table;

@@ -19,10 +19,16 @@ use ropewalk::trace::{Cpu, Emulated, Tracer};
 
 /// Every executor; the GPU where there is one.
 pub fn tracers() -> Vec<Box<dyn Tracer>> {
-    let cpus: [Box<dyn Tracer>; 2] = [Box::new(Emulated::default()), Box::new(Cpu::default())];
-    #[cfg(feature = "gpu")]
-    let gpu = gpu::tracer().map(|gpu| Box::new(gpu) as Box<dyn Tracer>);
-    #[cfg(not(feature = "gpu"))]
-    let gpu = None;
-    cpus.into_iter().chain(gpu).collect()
+    let on_cpu: [Box<dyn Tracer>; 2] = [Box::new(Emulated::default()), Box::new(Cpu::default())];
+    on_cpu.into_iter().chain(on_gpu()).collect()
+}
+
+#[cfg(feature = "gpu")]
+fn on_gpu() -> Option<Box<dyn Tracer>> {
+    Some(Box::new(gpu::tracer()?))
+}
+
+#[cfg(not(feature = "gpu"))]
+fn on_gpu() -> Option<Box<dyn Tracer>> {
+    None
 }

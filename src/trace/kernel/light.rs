@@ -13,11 +13,7 @@ use crate::device::layout::{FrameParams, LIGHT_DIRECTIONAL, LIGHT_SPOT, Light, R
 
 /// Light as it arrives at a point.
 struct Arrival {
-    /// Towards the light; for a point or spot, all the way to it.
-    to_light: Vec3,
-    /// Where the light is, in units of `to_light`.
-    t_max: f32,
-    /// Unit.
+    /// Unit, towards the light.
     direction: Vec3,
     /// Of a surface that faces the light: lux times colour.
     irradiance: Vec3,
@@ -27,7 +23,7 @@ struct Arrival {
 pub(crate) fn direct_light(scene: &KernelScene<'_>, params: &FrameParams, surface: &Surface, to_viewer: Vec3) -> Vec3 {
     let mut sum = Vec3::ZERO;
     for light in scene.lights.iter().take(params.light_count as usize) {
-        let arrival = light_at(light, surface);
+        let arrival = light_at(light, surface.position);
         let facing = dot3(surface.geometric_normal, arrival.direction);
         if facing < GRAZING || max_component(arrival.irradiance) <= 0.0 {
             continue;
@@ -36,29 +32,22 @@ pub(crate) fn direct_light(scene: &KernelScene<'_>, params: &FrameParams, surfac
         if max_component(reflected) <= 0.0 {
             continue;
         }
-        let shadow_ray = Ray {
-            origin: leave(surface, arrival.direction).to_array(),
-            t_min: 0.0,
-            direction: arrival.to_light.to_array(),
-            t_max: arrival.t_max,
-        };
-        let visible =
-            transmittance(scene, &shadow_ray, params.ray_mask) * terminator(surface, arrival.direction, facing);
+        let to_light = shadow_ray(light, leave(surface, arrival.direction));
+        let visible = transmittance(scene, &to_light, params.ray_mask) * terminator(surface, arrival.direction, facing);
         sum += reflected * visible;
     }
     sum
 }
 
-fn light_at(light: &Light, surface: &Surface) -> Arrival {
+fn light_at(light: &Light, point: Vec3) -> Arrival {
     let [position, axis, color] = [light.position, light.direction, light.color].map(Vec3::from_array);
     if light.kind == LIGHT_DIRECTIONAL {
-        return Arrival { to_light: -axis, t_max: f32::MAX, direction: -axis, irradiance: color };
+        return Arrival { direction: -axis, irradiance: color };
     }
-    let start = leave(surface, position - surface.position);
-    let to_light = position - start;
+    let to_light = position - point;
     let distance = length3(to_light);
     if distance <= 0.0 {
-        return Arrival { to_light, t_max: 1.0, direction: to_light, irradiance: Vec3::ZERO };
+        return Arrival { direction: to_light, irradiance: Vec3::ZERO };
     }
     let direction = to_light * (1.0 / distance);
     let mut strength = range_window(distance, light.range) / (distance * distance);
@@ -66,7 +55,17 @@ fn light_at(light: &Light, surface: &Surface) -> Arrival {
         let cone = (-dot3(axis, direction) * light.cone_scale + light.cone_offset).clamp(0.0, 1.0);
         strength *= cone * cone;
     }
-    Arrival { to_light, t_max: 1.0, direction, irradiance: color * strength }
+    Arrival { direction, irradiance: color * strength }
+}
+
+/// From a point to a light, and no farther.
+fn shadow_ray(light: &Light, start: Vec3) -> Ray {
+    let (direction, t_max) = if light.kind == LIGHT_DIRECTIONAL {
+        (-Vec3::from_array(light.direction), f32::MAX)
+    } else {
+        (Vec3::from_array(light.position) - start, 1.0)
+    };
+    Ray { origin: start.to_array(), t_min: 0.0, direction: direction.to_array(), t_max }
 }
 
 /// Falls smoothly to 0 at the light's range.
@@ -89,26 +88,7 @@ mod tests {
     use bytemuck::Zeroable as _;
 
     use super::*;
-    use crate::device::layout::{LIGHT_POINT, MaterialFlags};
-
-    fn at(position: Vec3) -> Surface {
-        Surface {
-            position,
-            geometric_normal: Vec3::Z,
-            normal: Vec3::Z,
-            offset: 0.0,
-            base_color: glam::Vec4::ONE,
-            emissive: Vec3::ZERO,
-            metallic: 0.0,
-            roughness: 1.0,
-            transmission: 0.0,
-            ior: 1.5,
-            flags: MaterialFlags::empty(),
-            tint: Vec3::ONE,
-            thin: false,
-            inside: false,
-        }
-    }
+    use crate::device::layout::LIGHT_POINT;
 
     #[test]
     fn a_point_falls_off_by_the_inverse_square_up_to_its_range() {
@@ -117,7 +97,7 @@ mod tests {
                 Light { kind: LIGHT_POINT, position: [1.0, 2.0, 3.0], color: [5.0; 3], range, ..Light::zeroed() };
             for distance in [0.1f32, 0.5, 1.0, 1.9, 2.0, 3.0, 9.0, 11.0, 1e6] {
                 let direction = Vec3::new(2.0, -1.0, 2.0) / 3.0;
-                let arrival = light_at(&light, &at(Vec3::new(1.0, 2.0, 3.0) - direction * distance));
+                let arrival = light_at(&light, Vec3::new(1.0, 2.0, 3.0) - direction * distance);
                 let window = (1.0 - (f64::from(distance) / f64::from(range)).powi(4)).clamp(0.0, 1.0);
                 let expected = 5.0 / f64::from(distance).powi(2) * window;
                 let found = f64::from(arrival.irradiance.x);
@@ -126,7 +106,7 @@ mod tests {
                     (found - expected).abs() <= tolerance,
                     "range {range}, {distance}: {found}, expected {expected}"
                 );
-                assert!((arrival.direction - direction).length() < 1e-5 && arrival.t_max == 1.0);
+                assert!((arrival.direction - direction).length() < 1e-5);
             }
         }
     }
@@ -147,7 +127,7 @@ mod tests {
         };
         for step in 0..=100 {
             let angle = step as f32 * 0.01;
-            let arrival = light_at(&light, &at(Vec3::new(angle.sin(), 0.0, -angle.cos()) * 2.0));
+            let arrival = light_at(&light, Vec3::new(angle.sin(), 0.0, -angle.cos()) * 2.0);
             let t = ((angle.cos() - outer.cos()) / (inner.cos() - outer.cos())).clamp(0.0, 1.0);
             let expected = t * t / 4.0;
             assert!((arrival.irradiance.x - expected).abs() < 1e-5, "{angle}: {} {expected}", arrival.irradiance.x);
@@ -158,7 +138,7 @@ mod tests {
     fn a_direction_is_the_same_everywhere() {
         let light = Light { kind: LIGHT_DIRECTIONAL, direction: [0.0, 0.0, -1.0], color: [2.0; 3], ..Light::zeroed() };
         for position in [Vec3::ZERO, Vec3::splat(1e6)] {
-            let arrival = light_at(&light, &at(position));
+            let arrival = light_at(&light, position);
             assert_eq!((arrival.direction, arrival.irradiance), (Vec3::Z, Vec3::splat(2.0)));
         }
     }
@@ -166,6 +146,6 @@ mod tests {
     #[test]
     fn a_light_in_the_surface_does_not_shine() {
         let light = Light { kind: LIGHT_POINT, color: [5.0; 3], range: f32::MAX, ..Light::zeroed() };
-        assert_eq!(light_at(&light, &at(Vec3::ZERO)).irradiance, Vec3::ZERO);
+        assert_eq!(light_at(&light, Vec3::ZERO).irradiance, Vec3::ZERO);
     }
 }

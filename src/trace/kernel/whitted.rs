@@ -8,10 +8,11 @@
 //! - The sky's light is not shadowed: there is no ambient occlusion.
 //! - Rough surfaces mirror the scene sharply where they are nearly polished, and a blurred sky where they are not; in between
 //!   the two are mixed. Rough glass transmits as sharply as polished glass.
-//! - Every transmissive surface is the skin of a solid of its index of refraction, unless its instance is
-//!   [`THIN`](crate::device::layout::InstanceFlags::THIN). `KHR_materials_transmission` alone means thin walls everywhere, but
-//!   then a glass sphere would look like a soap bubble. Which side is inside follows from the winding; solids within solids
-//!   are each refracted against air. A solid is tinted by its base colour once, by the square root at each crossing.
+//! - A transmissive surface that encloses something is the skin of a solid and bends light by its index of refraction; any
+//!   other ([`THIN`](crate::device::layout::InstanceFlags::THIN), which the compiler finds out) is a pane and lets it pass
+//!   straight. `KHR_materials_transmission` alone means thin walls everywhere, but then a glass sphere would look like a soap
+//!   bubble. Which side is inside follows from the winding; solids within solids are each refracted against air. A solid is
+//!   tinted by its base colour once, by the square root at each crossing.
 
 use glam::{Vec3, Vec4, Vec4Swizzles as _};
 

@@ -1,0 +1,118 @@
+//! Direct light against glTF's formulas in f64, and shadows.
+
+use glam::{DAffine3, DVec3, Vec3, Vec4};
+use ropewalk::{AlphaMode, Geometry, LightKind, Material, Scene};
+
+use super::scenes::{at, black, cube, front, middle, put, put_light, render, square};
+
+/// What a dielectric of ior 1.5, roughness 1 and this base colour reflects straight up (+Z) of light from an angle to it, times
+/// the cosine: appendix B of glTF 2.0.
+fn rough_dielectric(base_color: f64, cosine: f64) -> f64 {
+    let half_way = ((1.0 + cosine) * 0.5).sqrt();
+    let fresnel = 0.04 + 0.96 * (1.0 - half_way).powi(5);
+    // At roughness 1, D is 1 / pi, and V is 0.5 / (n_l + n_v).
+    let specular = fresnel / std::f64::consts::PI * 0.5 / (cosine + 1.0);
+    ((1.0 - fresnel) * base_color / std::f64::consts::PI + specular) * cosine
+}
+
+#[test]
+fn a_matt_square_is_lit_by_the_closed_form() {
+    let (intensity, mut checked) = (50.0, 0);
+    for eye in [DVec3::new(0.0, 0.0, 2.0), DVec3::new(3.0, 0.0, 2.0), DVec3::new(-1.0, 2.0, 0.5), DVec3::Z * 0.1] {
+        for kind in
+            [LightKind::Point, LightKind::Directional, LightKind::Spot { inner_cone_angle: 0.2, outer_cone_angle: 0.4 }]
+        {
+            let mut scene = Scene::new();
+            put(&mut scene, square(1.0), Material::diffuse(Vec3::splat(0.6)), DAffine3::IDENTITY);
+            put_light(&mut scene, kind, intensity, eye, DVec3::ZERO);
+            let found = f64::from(middle(&mut scene, black()).x);
+            let falloff = if kind == LightKind::Directional { 1.0 } else { eye.length_squared() };
+            let cosine = eye.z / eye.length();
+            let expected = rough_dielectric(0.6, cosine) * f64::from(intensity) / falloff;
+            assert!((found - expected).abs() < 5e-5 * expected, "{kind:?} at {eye}: {found}, expected {expected}");
+            checked += 1;
+        }
+    }
+    assert_eq!(checked, 12);
+}
+
+#[test]
+fn neither_side_is_lit_through_the_surface() {
+    let mut scene = Scene::new();
+    put(&mut scene, square(1.0), Material::default(), DAffine3::IDENTITY);
+    put_light(&mut scene, LightKind::Point, 50.0, DVec3::new(0.1, 0.2, -2.0), DVec3::ZERO);
+    assert_eq!(middle(&mut scene, black()), Vec3::ZERO);
+}
+
+/// What is left of the light on a floor below a screen of this material.
+fn left_below(screen: Material) -> Vec3 {
+    left_below_shape(&square(0.5), screen)
+}
+
+fn left_below_shape(shape: &Geometry, screen: Material) -> Vec3 {
+    let lit = |screen: Option<Material>| {
+        let mut scene = Scene::new();
+        put(&mut scene, square(1.0), Material::default(), DAffine3::IDENTITY);
+        // Off the line of sight, on the way of the light.
+        if let Some(material) = screen {
+            put(&mut scene, shape.clone(), material, at(2.0, 0.0, 2.0));
+        }
+        put_light(&mut scene, LightKind::Point, 50.0, DVec3::new(4.0, 0.0, 4.0), DVec3::ZERO);
+        middle(&mut scene, black())
+    };
+    lit(Some(screen)) / lit(None)
+}
+
+#[test]
+fn shadows_let_through_what_the_material_does() {
+    let orange = Vec4::new(1.0, 0.49, 0.04, 0.25);
+    let surface = Material { base_color: orange, ..Material::default() };
+    let part = 1.0 - 0.04; // what enters at normal incidence
+
+    assert_eq!(left_below(surface.clone()), Vec3::ZERO, "opaque");
+    let blend = Material { alpha_mode: AlphaMode::Blend, ..surface.clone() };
+    assert!((left_below(blend) - Vec3::splat(0.75)).abs().max_element() < 1e-5, "blend");
+    let glass = Material { transmission: 1.0, ..surface.clone() };
+    let expected = orange.truncate() * part;
+    assert!((left_below(glass.clone()) - expected).abs().max_element() < 1e-5, "a pane");
+    let solid = left_below_shape(&cube(), glass.clone());
+    assert!((solid - expected * part).abs().max_element() < 1e-5, "a solid: tinted once, reflecting twice");
+    let half = Material { transmission: 0.5, metallic: 0.5, ..glass };
+    assert!(
+        (left_below(half) - expected * 0.25).abs().max_element() < 1e-5,
+        "half of it transmits, half of that is metal"
+    );
+    let hole = Material { alpha_mode: AlphaMode::Mask { cutoff: 0.3 }, ..surface.clone() };
+    assert_eq!(left_below(hole), Vec3::ONE, "a hole");
+    let solid = Material { alpha_mode: AlphaMode::Mask { cutoff: 0.2 }, ..surface };
+    assert_eq!(left_below(solid), Vec3::ZERO, "no hole");
+}
+
+#[test]
+fn shadows_have_sharp_edges_where_they_belong() {
+    let mut scene = Scene::new();
+    put(&mut scene, square(1.0), Material::default(), DAffine3::IDENTITY);
+    // A light far to the left, a screen whose shadow covers x > 0.25.
+    put(&mut scene, square(0.5), Material::default(), at(-1.75 + 0.5, 0.0, 2.0));
+    put_light(&mut scene, LightKind::Directional, 1.0, DVec3::new(-1.0, 0.0, 1.0), DVec3::ZERO);
+    let image = render(&mut scene, &front(64, black()));
+    for (i, color) in image.color.iter().enumerate() {
+        let (x, y) = ((i % 64) as f32 / 32.0 - 1.0 + 1.0 / 64.0, 1.0 - (i / 64) as f32 / 32.0 - 1.0 / 64.0);
+        // The screen hides what lies to its left, where x + 2 is also within it seen from above.
+        let in_shadow = (0.25..1.25).contains(&x) && y.abs() < 0.5;
+        let hidden = (-1.75..-0.75).contains(&x) && y.abs() < 0.5;
+        assert!(hidden || (color[0] == 0.0) == in_shadow, "({x}, {y}): {color:?}");
+    }
+}
+
+#[test]
+fn emission_and_unlit_need_no_light() {
+    let mut scene = Scene::new();
+    let base_color = Vec4::new(0.2, 0.4, 0.6, 1.0);
+    put(&mut scene, square(1.0), Material { unlit: true, base_color, ..Material::default() }, DAffine3::IDENTITY);
+    assert_eq!(middle(&mut scene, black()), base_color.truncate());
+    let mut scene = Scene::new();
+    let emissive = Vec3::new(3.0, 0.0, 1.0);
+    put(&mut scene, square(1.0), Material { emissive, ..Material::default() }, DAffine3::IDENTITY);
+    assert_eq!(middle(&mut scene, black()), emissive);
+}

@@ -1,0 +1,14 @@
+//! What surfaces look like, from the outside: rendered scenes against closed forms.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
+#![allow(unreachable_pub, reason = "support modules serve several tests")]
+
+mod devices;
+mod furnace;
+mod lights;
+mod paths;
+mod scenes;
+#[cfg(feature = "gpu")]
+#[allow(dead_code, reason = "serves several tests")]
+#[path = "../support/gpu.rs"]
+mod support;
+mod textures;
