@@ -12,8 +12,8 @@ use glam::{DQuat, DVec3, Vec2, Vec3, Vec4};
 use proptest::prelude::*;
 use ropewalk::compile::{Compiler, Needs, RebuildReason, TlasUpdate};
 use ropewalk::{
-    AlphaMode, Core, Geometry, GeometryKey, Keep, Light, LightKind, Material, MaterialKey, NodeKey, Scene, Texture,
-    TextureKey, TextureRef, Transform,
+    AlphaMode, Camera, Core, Geometry, GeometryKey, Keep, Light, LightKind, Material, MaterialKey, NodeKey, Scene,
+    Texture, TextureKey, TextureRef, Transform,
 };
 
 const EYE: DVec3 = DVec3::new(0.0, 0.0, 10.0);
@@ -227,6 +227,7 @@ enum Edit {
     SetGeometry(usize, usize),
     SetTexture(usize, u8),
     SwapCore(usize, usize, usize),
+    EditCore(usize, usize, usize),
 }
 
 fn edit() -> impl Strategy<Value = Edit> {
@@ -244,7 +245,8 @@ fn edit() -> impl Strategy<Value = Edit> {
         2 => (n.clone(), n.clone()).prop_map(|(a, b)| Edit::SetMaterial(a, b)),
         1 => (n.clone(), n.clone()).prop_map(|(a, b)| Edit::SetGeometry(a, b)),
         1 => (n.clone(), any::<u8>()).prop_map(|(a, t)| Edit::SetTexture(a, t)),
-        2 => (n.clone(), n.clone(), n).prop_map(|(a, b, c)| Edit::SwapCore(a, b, c)),
+        2 => (n.clone(), n.clone(), n.clone()).prop_map(|(a, b, c)| Edit::SwapCore(a, b, c)),
+        3 => (n.clone(), n.clone(), n).prop_map(|(a, b, c)| Edit::EditCore(a, b, c)),
     ]
 }
 
@@ -342,6 +344,22 @@ impl World {
                 let core = self.core(geometry, material);
                 let _ = self.scene.set_core(node, core);
             }
+            Edit::EditCore(node, kind, i) => {
+                let key = self.scene.core_key(self.node(node)).unwrap();
+                let core = self.any_core(kind, i);
+                let _ = self.scene.edit_core(key, core);
+            }
+        }
+    }
+
+    /// A core of any kind.
+    fn any_core(&mut self, kind: usize, i: usize) -> Core {
+        match kind % 5 {
+            0 => Core::Group,
+            1 => Core::Transform(Transform::from_translation(DVec3::X * i as f64)),
+            2 => Core::Camera(Camera::default()),
+            3 => Core::Light(Light { kind: LightKind::Point, color: Vec3::ONE, intensity: i as f32, range: None }),
+            _ => self.core(i, i),
         }
     }
 

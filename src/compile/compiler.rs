@@ -1,7 +1,7 @@
 //! The compiler: reads what changed in a scene and brings the device arrays up to date with the smallest update.
 
 use std::ops::Range;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use glam::DVec3;
 use slotmap::SecondaryMap;
@@ -47,6 +47,13 @@ struct Dirty {
     lights: bool,
     /// Nodes whose local transform changed.
     moved: Vec<NodeKey>,
+}
+
+/// Which instance records must be written.
+enum Stale {
+    All,
+    /// Ranges of the instance table's members.
+    Ranges(Vec<Range<usize>>),
 }
 
 impl Dirty {
@@ -109,53 +116,73 @@ impl Compiler {
 
     fn try_compile(&mut self, scene: &mut Scene, eye: DVec3) -> Result<CompileReport> {
         let start = Instant::now();
+        let mut report = self.unchanged.clone();
         let dirty = self.read_changes(scene);
-        let rebased = self.rebase(eye, dirty.everything);
-        let mut report = CompileReport { update_time: Duration::ZERO, ..self.unchanged.clone() };
-        if dirty.is_empty() && !rebased {
-            report.update_time = start.elapsed();
-            return Ok(report);
+        if dirty.everything {
+            self.origin = eye;
         }
-        let (scene, hierarchy) = scene.with_hierarchy();
+        if !dirty.is_empty() || self.is_far(eye) {
+            let (scene, hierarchy) = scene.with_hierarchy();
+            self.update(scene, hierarchy, &dirty, &mut report)?;
+            if self.is_far(eye) {
+                self.origin = eye;
+                self.write(scene, hierarchy, &Stale::All, RebuildReason::Rebased, &mut report)?;
+            }
+            self.count(&mut report);
+            self.unchanged = report.as_unchanged();
+        }
+        report.update_time = start.elapsed().saturating_sub(report.blas_time + report.tlas_time);
+        Ok(report)
+    }
 
-        // 1. Geometries, materials and instances come and go.
+    /// Brings the arrays up to date with what changed.
+    fn update(
+        &mut self,
+        scene: &Scene,
+        hierarchy: &Hierarchy,
+        dirty: &Dirty,
+        report: &mut CompileReport,
+    ) -> Result<()> {
         if dirty.structure {
             self.collect(scene, hierarchy)?;
-            self.update_assets(scene, &mut report)?;
+            self.update_assets(scene, report)?;
+            let reason = if dirty.everything { RebuildReason::NewScene } else { RebuildReason::Structure };
+            return self.write(scene, hierarchy, &Stale::All, reason, report);
         }
+        let mut moved: Vec<u32> = dirty.moved.iter().filter_map(|&node| Some(hierarchy.index(node)? as u32)).collect();
+        let moved: Vec<Range<usize>> =
+            hierarchy.outermost_subtrees(&mut moved).map(|subtree| self.instances.members_in(subtree)).collect();
+        let instances = moved.iter().map(ExactSizeIterator::len).sum();
+        self.write(scene, hierarchy, &Stale::Ranges(moved), RebuildReason::Moved { instances }, report)
+    }
 
-        // 2. Instance records and lights: of what moved, or of all.
-        let ranges: Vec<Range<usize>> = if dirty.structure || rebased {
-            std::iter::once(0..self.instances.members().len()).collect()
-        } else {
-            let mut moved =
-                dirty.moved.iter().filter_map(|&node| Some(hierarchy.index(node)? as u32)).collect::<Vec<_>>();
-            hierarchy.outermost_subtrees(&mut moved).map(|subtree| self.instances.members_in(subtree)).collect()
-        };
-        let moved = ranges.iter().map(ExactSizeIterator::len).sum();
+    /// Writes stale instance records and the lights, then the top level if a box changed, for the reason given.
+    fn write(
+        &mut self,
+        scene: &Scene,
+        hierarchy: &Hierarchy,
+        stale: &Stale,
+        reason: RebuildReason,
+        report: &mut CompileReport,
+    ) -> Result<()> {
         let sources =
             Sources { hierarchy, geometries: &self.geometries, materials: &self.materials, origin: self.origin };
-        for range in ranges {
-            self.instances.write(range, &sources, &mut self.arrays);
+        match stale {
+            Stale::All => self.instances.write(0..self.instances.members().len(), &sources, &mut self.arrays),
+            Stale::Ranges(ranges) => {
+                for range in ranges {
+                    self.instances.write(range.clone(), &sources, &mut self.arrays);
+                }
+            }
         }
         self.write_lights(scene, hierarchy)?;
 
-        // 3. The top level.
-        let tlas_start = Instant::now();
+        let start = Instant::now();
         if self.instances.update_tlas(&mut self.arrays) {
-            report.tlas_time = tlas_start.elapsed();
-            report.tlas = TlasUpdate::Rebuilt(match () {
-                () if dirty.everything => RebuildReason::NewScene,
-                () if dirty.structure => RebuildReason::Structure,
-                () if rebased => RebuildReason::Rebased,
-                () => RebuildReason::Moved { instances: moved },
-            });
+            report.tlas_time += start.elapsed();
+            report.tlas = TlasUpdate::Rebuilt(reason);
         }
-
-        self.count(&mut report);
-        self.unchanged = report.as_unchanged();
-        report.update_time = start.elapsed().saturating_sub(report.blas_time + report.tlas_time);
-        Ok(report)
+        Ok(())
     }
 
     /// Reads the log. O(changes).
@@ -178,6 +205,7 @@ impl Compiler {
                     if change.contains(Change::TRANSFORM) {
                         dirty.moved.extend(scene.users(key).into_iter().flatten());
                     }
+                    dirty.structure |= change.contains(Change::KIND);
                     if change.contains(Change::DATA) {
                         match scene.core_of(key) {
                             Ok(Core::Camera(_)) => {}
@@ -195,20 +223,18 @@ impl Compiler {
         dirty
     }
 
-    /// Moves the render origin to the eye if the eye is too far from it. Positions near the eye then have the full
-    /// resolution of f32, while a camera that moves a little changes nothing on the device.
+    /// Whether the eye is so far from the render origin that the origin must follow it. Positions near the eye then have
+    /// the full resolution of f32, while a camera that moves a little changes nothing on the device.
     ///
-    /// "Too far" is relative: f32 resolves 2^-24 of the distance to the origin. At the limits chosen here that is
-    /// 2.3e-10 of the scene's radius inside it, and outside it less than a thousandth of a pixel at the nearest geometry.
-    fn rebase(&mut self, eye: DVec3, new_scene: bool) -> bool {
+    /// "Far" is relative: f32 resolves 2^-24 of the distance to the origin. Inside the scene the limit is 1/256 of its
+    /// radius, so that positions are known to 2.3e-10 of that; outside it is 16 times the distance to the scene, 1e-6 of
+    /// which is the most that a position is off: far less than a pixel.
+    fn is_far(&self, eye: DVec3) -> bool {
         let relative = eye - self.origin;
         let bounds = self.scene_bounds();
         let to_scene = (bounds.min - relative).max(relative - bounds.max).max(DVec3::ZERO).length();
         let limit = if bounds.is_empty() { 0.0 } else { (bounds.radius() / 256.0).max(to_scene * 16.0) };
-        if !new_scene && relative.length() <= limit {
-            return false;
-        }
-        std::mem::replace(&mut self.origin, eye) != eye
+        relative.length() > limit
     }
 
     /// The box around all instances as they were last compiled, relative to the render origin.
@@ -231,8 +257,7 @@ impl Compiler {
                 Core::Group | Core::Transform(_) | Core::Camera(_) => {}
             }
         }
-        self.instances.set_members(members, &mut self.arrays);
-        Ok(())
+        self.instances.set_members(members, &mut self.arrays)
     }
 
     /// Frees the geometries and materials that no member uses and makes those that one misses.

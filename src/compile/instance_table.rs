@@ -11,9 +11,10 @@ use super::material_table::MaterialTable;
 use super::pack::Placement;
 use crate::accel::Tlas;
 use crate::device::DeviceArrays;
-use crate::device::layout::{Instance, InstanceFlags};
+use crate::device::layout::{Instance, InstanceFlags, PrimitiveRange};
 use crate::graph::{GeometryKey, Hierarchy, MaterialKey, NodeKey};
 use crate::math::Aabb;
+use crate::{Error, Result};
 
 /// A visible node with a geometry core.
 #[derive(Clone, Copy, Debug)]
@@ -60,7 +61,14 @@ pub(super) struct Sources<'a> {
 
 impl InstanceTable {
     /// Replaces the members. Those that were members keep their slots; slots nobody has any more are zeroed.
-    pub(super) fn set_members(&mut self, members: Vec<Member>, arrays: &mut DeviceArrays) {
+    ///
+    /// # Errors
+    /// [`Error::Limit`] beyond 2^28 members: a leaf's instance index has 28 bits.
+    pub(super) fn set_members(&mut self, members: Vec<Member>, arrays: &mut DeviceArrays) -> Result<()> {
+        let (needed, limit) = (members.len() as u64, u64::from(PrimitiveRange::MAX_FIRST));
+        if needed > limit {
+            return Err(Error::Limit { what: "the instances array", needed, limit, hint: "" });
+        }
         let mut slot_of = SecondaryMap::new();
         for member in &members {
             if let Some(slot) = self.slot_of.remove(member.node) {
@@ -87,10 +95,11 @@ impl InstanceTable {
         self.slot_of = slot_of;
         self.boxes.resize(members.len(), Aabb::EMPTY);
         self.members = members;
-        if self.members.is_empty() {
-            self.free_slots.clear();
-            arrays.instances.truncate(0);
-        }
+        // The array ends with the last slot in use.
+        let end = self.slots.iter().max().map_or(0, |&last| last + 1);
+        self.free_slots.retain(|&slot| slot < end);
+        arrays.instances.truncate(end as usize);
+        Ok(())
     }
 
     /// Writes the device records of the members in the given range of [`members`](Self::members).

@@ -168,12 +168,14 @@ pub(super) fn texture_info(
     }
 }
 
-/// The device record of a light at `world_from_local`; `None` if it gives no light.
+/// The device record of a light at `world_from_local`; `None` if it gives no light, or is beyond what f32 holds.
 pub(super) fn light(light: &Light, world_from_local: &DAffine3, origin: DVec3) -> Option<layout::Light> {
     let color = light.color * light.intensity;
     // A light whose node is scaled to nothing keeps its place and loses its direction.
     let direction = (-world_from_local.matrix3.z_axis).try_normalize();
-    if color == glam::Vec3::ZERO || (direction.is_none() && light.kind != LightKind::Point) {
+    let position = (world_from_local.translation - origin).as_vec3();
+    let is_usable = position.is_finite() && color.is_finite();
+    if !is_usable || color == glam::Vec3::ZERO || (direction.is_none() && light.kind != LightKind::Point) {
         return None;
     }
     let (kind, cone_scale, cone_offset) = match light.kind {
@@ -187,7 +189,7 @@ pub(super) fn light(light: &Light, world_from_local: &DAffine3, origin: DVec3) -
         }
     };
     Some(layout::Light {
-        position: (world_from_local.translation - origin).as_vec3().to_array(),
+        position: position.to_array(),
         kind,
         direction: direction.unwrap_or(DVec3::NEG_Z).as_vec3().to_array(),
         range: light.range.unwrap_or(f32::MAX),

@@ -88,12 +88,14 @@ impl Scene {
         self.check_core(&core)?;
         self.acquire_assets(&core);
         let old = std::mem::replace(&mut self.cores[key].core, core);
-        let moves = |core: &Core| matches!(core, Core::Transform(_));
-        let change = match (moves(&old), moves(&self.cores[key].core)) {
-            (true, true) => Change::TRANSFORM,
-            (true, false) | (false, true) => Change::TRANSFORM | Change::DATA,
-            (false, false) => Change::DATA,
-        };
+        let new = &self.cores[key].core;
+        let moves = matches!(old, Core::Transform(_)) || matches!(new, Core::Transform(_));
+        let mut change = if moves { Change::TRANSFORM } else { Change::empty() };
+        if std::mem::discriminant(&old) != std::mem::discriminant(new) {
+            change |= Change::KIND;
+        } else if !moves {
+            change |= Change::DATA;
+        }
         if change.contains(Change::TRANSFORM) {
             self.users_moved(key);
         }

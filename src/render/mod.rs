@@ -119,7 +119,7 @@ impl Renderer {
 
         // 2. Copy what changed.
         let upload_start = Instant::now();
-        let uploaded_bytes = self.upload()?;
+        let uploaded_bytes = self.tracer.upload(self.compiler.arrays_mut())?;
         let upload_time = upload_start.elapsed();
 
         // 3. Trace.
@@ -139,15 +139,6 @@ impl Renderer {
             total_time: start.elapsed(),
         };
         Ok(Frame { tracer: &*self.tracer, report })
-    }
-
-    /// Copies what changed. After a failure nobody knows what the executor holds: all is compiled and copied again.
-    fn upload(&mut self) -> Result<u64> {
-        let result = self.tracer.upload(self.compiler.arrays_mut());
-        if result.is_err() {
-            self.compiler = Compiler::new();
-        }
-        result
     }
 }
 

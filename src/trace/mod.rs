@@ -29,7 +29,12 @@ pub trait Tracer {
     /// What runs the kernel.
     fn device(&self) -> &DeviceInfo;
 
-    /// Brings the executor's copy of the arrays up to date and returns the bytes copied.
+    /// Brings the executor's copy of the arrays up to date and returns the bytes copied. After an error the next call
+    /// copies everything.
+    ///
+    /// # Errors
+    /// [`Error::Limit`](crate::Error::Limit) if an array is too large for the device, before anything is copied;
+    /// [`Error::Gpu`](crate::Error::Gpu) if the driver fails.
     fn upload(&mut self, arrays: &mut DeviceArrays) -> Result<u64>;
 
     /// Traces a frame, which stays where it was made until [`read`](Self::read).
