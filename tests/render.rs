@@ -2,7 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "a panic in a test is a failure")]
 
-use glam::{DQuat, DVec3, Vec3};
+use glam::{DAffine3, DQuat, DVec3, Vec3};
 use ropewalk::compile::{RebuildReason, TlasUpdate};
 use ropewalk::{
     Camera, Core, DeviceChoice, Error, Geometry, Light, LightKind, Material, NodeKey, Renderer, RendererOptions, Scene,
@@ -104,10 +104,12 @@ fn a_moved_node_is_seen_where_it_is() {
 #[test]
 fn a_scene_far_from_the_origin_looks_the_same() {
     let (mut scene, world, _) = scene();
-    let near = cpu().render(&mut scene, &view(DVec3::ZERO)).unwrap().image().unwrap();
+    let mut renderer = cpu();
+    let near = renderer.render(&mut scene, &view(DVec3::ZERO)).unwrap().image().unwrap();
+    // Scene and camera jump between two frames.
     let offset = DVec3::new(1e7, -3e6, 5e6);
     scene.set_local(world, Transform::from_translation(offset)).unwrap();
-    let far = cpu().render(&mut scene, &view(offset)).unwrap().image().unwrap();
+    let far = renderer.render(&mut scene, &view(offset)).unwrap().image().unwrap();
 
     let (near, far) = (near.aovs.unwrap(), far.aovs.unwrap());
     let pixels = near.triangle.len();
@@ -127,6 +129,13 @@ fn impossible_views_are_errors_and_harm_nothing() {
     let mut nowhere = good.clone();
     nowhere.world_from_view.translation.x = f64::NAN;
     assert!(matches!(renderer.render(&mut scene, &nowhere), Err(Error::OutOfRange { .. })));
+    let flat = View { world_from_view: DAffine3::from_scale(DVec3::new(1.0, 0.0, 1.0)), ..good.clone() };
+    assert!(matches!(renderer.render(&mut scene, &flat), Err(Error::OutOfRange { what: "camera pose", .. })));
+    let mut dark = good.clone();
+    dark.sky.horizon.y = f32::NAN;
+    assert!(matches!(renderer.render(&mut scene, &dark), Err(Error::OutOfRange { what: "sky", .. })));
+    let wide = View { camera: Camera::Perspective { y_fov: 4.0, aspect: None }, ..good.clone() };
+    assert!(matches!(renderer.render(&mut scene, &wide), Err(Error::OutOfRange { .. })));
     let huge = View { width: u32::MAX, height: u32::MAX, ..good.clone() };
     assert!(matches!(renderer.render(&mut scene, &huge), Err(Error::Limit { .. })));
     let empty = View { width: 0, ..good.clone() };

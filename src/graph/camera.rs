@@ -21,6 +21,16 @@ pub enum Camera {
     },
 }
 
+impl Camera {
+    /// Checks that its numbers are in their ranges.
+    ///
+    /// # Errors
+    /// [`Error::OutOfRange`](crate::Error::OutOfRange) names the first that is not.
+    pub fn validate(&self) -> crate::Result<()> {
+        super::ranges::check_camera(self)
+    }
+}
+
 impl Default for Camera {
     /// A perspective camera that sees 45 degrees from top to bottom.
     fn default() -> Self {

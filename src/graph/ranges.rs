@@ -39,7 +39,7 @@ fn check_light(light: &Light) -> Result<()> {
     Ok(())
 }
 
-fn check_camera(camera: &Camera) -> Result<()> {
+pub(super) fn check_camera(camera: &Camera) -> Result<()> {
     match *camera {
         Camera::Perspective { y_fov, aspect } => {
             require(y_fov > 0.0 && y_fov < PI, "camera field of view", &y_fov, "above 0 and below pi")?;

@@ -108,11 +108,10 @@ impl Renderer {
     /// The frame stays on the device; [`Frame::image`] reads it back.
     ///
     /// # Errors
-    /// [`Error::OutOfRange`] for a depth beyond [`View::MAX_DEPTH`] or a camera pose that is not finite,
-    /// [`Error::Limit`] if scene or image are too large for the device, [`Error::Gpu`] if the driver fails.
+    /// As [`View::validate`]; [`Error::Limit`] if scene or image are too large for the device, [`Error::Gpu`] if the driver fails.
     pub fn render(&mut self, scene: &mut Scene, view: &View) -> Result<Frame<'_>> {
         let start = Instant::now();
-        check(view)?;
+        view.validate()?;
 
         // 1. Catch up with the scene.
         let compile = self.compiler.compile(scene, view.world_from_view.translation)?;
@@ -173,18 +172,6 @@ impl Frame<'_> {
     pub fn gpu_time(&self) -> Option<Duration> {
         self.tracer.trace_time()
     }
-}
-
-fn check(view: &View) -> Result<()> {
-    if view.max_depth > View::MAX_DEPTH {
-        let value = view.max_depth.to_string();
-        return Err(Error::OutOfRange { what: "depth", value, expected: "at most 8 reflections and refractions" });
-    }
-    if !view.world_from_view.is_finite() {
-        let value = format!("{:?}", view.world_from_view);
-        return Err(Error::OutOfRange { what: "camera pose", value, expected: "finite" });
-    }
-    Ok(())
 }
 
 /// A GPU; where it was asked for by name, a software one too.

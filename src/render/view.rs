@@ -94,6 +94,28 @@ impl View {
         Ok(view)
     }
 
+    /// Checks all that the renderer relies on.
+    ///
+    /// # Errors
+    /// [`Error::OutOfRange`] names the value: a depth beyond [`MAX_DEPTH`](Self::MAX_DEPTH), a camera pose that is not finite or
+    /// flattens an axis (a camera node below a scale of zero), a projection out of range, a sky that is not finite.
+    pub fn validate(&self) -> Result<()> {
+        let require = |holds: bool, what, value: &dyn std::fmt::Debug, expected| {
+            let value = || format!("{value:?}");
+            if holds { Ok(()) } else { Err(Error::OutOfRange { what, value: value(), expected }) }
+        };
+        let pose = &self.world_from_view;
+        let axes = [pose.matrix3.x_axis, pose.matrix3.y_axis, pose.matrix3.z_axis];
+        let is_usable = pose.is_finite() && axes.iter().all(|axis| axis.try_normalize().is_some());
+        let Sky { zenith, horizon, ground, up } = self.sky;
+
+        require(self.max_depth <= Self::MAX_DEPTH, "depth", &self.max_depth, "at most View::MAX_DEPTH")?;
+        require(is_usable, "camera pose", pose, "finite, with no axis scaled to zero")?;
+        self.camera.validate()?;
+        require([zenith, horizon, ground].iter().all(|c| c.is_finite()), "sky", &self.sky, "finite")?;
+        require(up.try_normalize().is_some(), "sky up", &up, "finite and not zero")
+    }
+
     /// The uniform data of this view, with positions relative to `origin`.
     pub(super) fn params(&self, origin: DVec3, light_count: u32) -> FrameParams {
         let axes = self.world_from_view.matrix3;
@@ -114,7 +136,7 @@ impl View {
             light_count,
             sky_ground: self.sky.ground.to_array(),
             first_row: 0,
-            sky_up: self.sky.up.to_array(),
+            sky_up: self.sky.up.normalize_or(Vec3::Y).to_array(),
             _pad: 0,
         }
     }
@@ -145,7 +167,7 @@ pub struct Sky {
     pub horizon: Vec3,
     /// Straight down.
     pub ground: Vec3,
-    /// Which way is up: a unit vector in world space.
+    /// Which way is up, in world space; any length but zero.
     pub up: Vec3,
 }
 
