@@ -131,6 +131,8 @@ fn a_file_is_rendered_to_png_and_exr() {
     assert!(r > 100 && g < 30 && b < 30 && a == 255, "the triangle is {r} {g} {b} {a}");
     let exr = exr::prelude::read_first_flat_layer_from_file(folder.path().join("a.exr")).unwrap();
     assert_eq!((exr.layer_data.size.width(), exr.layer_data.size.height()), (40, 30));
+    let names: Vec<_> = exr.layer_data.channel_data.list.iter().map(|c| c.name.to_string()).collect();
+    assert_eq!(names, ["A", "B", "G", "N.X", "N.Y", "N.Z", "R", "Z", "id.node", "id.node_version", "id.triangle"]);
 }
 
 #[test]

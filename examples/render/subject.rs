@@ -35,6 +35,8 @@ impl Subject {
         let mut view = first_view(&scene, arguments)?;
         view.sky = sky;
         view.max_depth = arguments.depth;
+        // Only EXR files have room for depth, normals and ids.
+        view.aovs = arguments.output.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("exr"));
         light_if_dark(&mut scene, &view).map_err(|error| error.to_string())?;
 
         let bounds = scene.world_bounds(scene.root()).map_err(|error| error.to_string())?;
@@ -97,7 +99,7 @@ fn camera_name(scene: &Scene, camera: NodeKey) -> &str {
 
 /// Grey, and so dark that a white surface below it and the key light is not yet white in the image.
 fn neutral_sky() -> Sky {
-    let [zenith, horizon, ground] = [0.42, 0.50, 0.16].map(Vec3::splat);
+    let [zenith, horizon, ground] = [0.22, 0.30, 0.10].map(Vec3::splat);
     Sky { zenith, horizon, ground, up: Vec3::Y }
 }
 
@@ -110,7 +112,7 @@ fn light_if_dark(scene: &mut Scene, view: &View) -> ropewalk::Result<()> {
     let pose = Transform::looking_at(from, DVec3::ZERO, DVec3::Y);
     let key_light = scene.add(scene.root(), pose)?;
     scene.set_name(key_light, "key light")?;
-    scene.add(key_light, Light { kind: LightKind::Directional, color: Vec3::ONE, intensity: 1.8, range: None })?;
+    scene.add(key_light, Light { kind: LightKind::Directional, color: Vec3::ONE, intensity: 2.6, range: None })?;
     Ok(())
 }
 

@@ -95,6 +95,14 @@ impl Bounds {
         self.min * 0.5 + self.max * 0.5
     }
 
+    /// The eight corners.
+    pub fn corners(&self) -> [DVec3; 8] {
+        std::array::from_fn(|i| {
+            let pick = |axis: usize| if i >> axis & 1 == 0 { self.min[axis] } else { self.max[axis] };
+            DVec3::new(pick(0), pick(1), pick(2))
+        })
+    }
+
     /// Half the diagonal: the radius of the sphere around the box. 0 if empty.
     pub fn radius(&self) -> f64 {
         if self.is_empty() { 0.0 } else { (self.max * 0.5 - self.min * 0.5).length() }

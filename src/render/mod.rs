@@ -88,7 +88,7 @@ impl Renderer {
         Ok(Self { compiler: Compiler::new(), tracer, fallback })
     }
 
-    /// A renderer with an executor of the application's: a [`GpuTracer`](crate::trace::gpu::GpuTracer) on the
+    /// A renderer with an executor of the application's: a `trace::gpu::GpuTracer` on the
     /// application's own device, say.
     pub fn with_tracer(tracer: impl Tracer + 'static) -> Self {
         Self { compiler: Compiler::new(), tracer: Box::new(tracer), fallback: None }

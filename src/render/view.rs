@@ -4,6 +4,7 @@ use glam::{DAffine3, DVec3, Vec3};
 
 use crate::device::layout::FrameParams;
 use crate::graph::{Camera, Core, NodeKey, Scene, Transform};
+use crate::math::Bounds;
 use crate::{Error, Result};
 
 /// What [`Renderer::render`](super::Renderer::render) draws.
@@ -67,24 +68,30 @@ impl View {
         Ok(Self { world_from_view, ..Self::look_at(DVec3::ZERO, DVec3::NEG_Z, DVec3::Y, camera, width, height) })
     }
 
-    /// Sees all that is visible in the scene, from the front, a little from the right and above. O(nodes).
+    /// Sees the box around the scene, as large as it fits, from the front, a little from the right and above. O(nodes).
     ///
     /// # Errors
     /// None in a valid scene.
     pub fn framing(scene: &Scene, width: u32, height: u32) -> Result<Self> {
         let bounds = scene.world_bounds(scene.root())?;
-        let (center, radius) = if bounds.is_empty() {
-            (DVec3::ZERO, 1.0)
-        } else {
-            (bounds.center(), bounds.radius().max(f64::MIN_POSITIVE))
-        };
+        // A scene of one point is seen from a distance that f64 resolves there.
+        let point = Bounds { min: DVec3::ZERO, max: DVec3::ZERO };
+        let bounds = if bounds.is_empty() { point } else { bounds };
+        let (center, least) = (bounds.center(), bounds.min.abs().max(bounds.max.abs()).max_element() * 1e-9);
         let camera = Camera::default();
-        // The sphere around the scene touches the edges of the narrower field of view.
-        let half_fov = f64::from(std::f32::consts::FRAC_PI_8);
-        let aspect = f64::from(width.max(1)) / f64::from(height.max(1));
-        let half_fov = (half_fov.tan() * aspect.min(1.0)).atan();
-        let eye = center + DVec3::new(0.45, 0.35, 1.0).normalize() * (radius / half_fov.sin());
-        Ok(Self::look_at(eye, center, DVec3::Y, camera, width, height))
+        let mut view = Self::look_at(center + DVec3::new(0.45, 0.35, 1.0), center, DVec3::Y, camera, width, height);
+
+        // The least distance from the centre at which each corner is in the picture, and a margin.
+        let (half_width, half_height, _) = view.half_extent();
+        let view_from_world = view.world_from_view.matrix3.transpose();
+        let distance = bounds.corners().map(|corner| {
+            let corner = view_from_world * (corner - center);
+            corner.z + (corner.x.abs() / f64::from(half_width)).max(corner.y.abs() / f64::from(half_height))
+        });
+        let distance = distance.into_iter().fold(0.0, f64::max) * 1.08;
+        let distance = if distance > least { distance } else { least.max(1.0) };
+        view.world_from_view.translation = center + view.world_from_view.matrix3.z_axis * distance;
+        Ok(view)
     }
 
     /// The uniform data of this view, with positions relative to `origin`.

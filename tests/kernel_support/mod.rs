@@ -19,8 +19,16 @@ use ropewalk::trace::{Cpu, Emulated, Tracer};
 
 /// Every executor; the GPU where there is one.
 pub fn tracers() -> Vec<Box<dyn Tracer>> {
-    let mut tracers: Vec<Box<dyn Tracer>> = vec![Box::new(Emulated::default()), Box::new(Cpu::default())];
-    #[cfg(feature = "gpu")]
-    tracers.extend(gpu::tracer().map(|gpu| Box::new(gpu) as Box<dyn Tracer>));
-    tracers
+    let on_cpu: [Box<dyn Tracer>; 2] = [Box::new(Emulated::default()), Box::new(Cpu::default())];
+    on_cpu.into_iter().chain(on_gpu()).collect()
+}
+
+#[cfg(feature = "gpu")]
+fn on_gpu() -> Option<Box<dyn Tracer>> {
+    Some(Box::new(gpu::tracer()?))
+}
+
+#[cfg(not(feature = "gpu"))]
+fn on_gpu() -> Option<Box<dyn Tracer>> {
+    None
 }

@@ -15,7 +15,7 @@ use ropewalk::{Camera, Core, Result, Scene, Sky, Transform};
 /// Columns around the court.
 const COLUMNS: u32 = 14;
 /// From the middle of the court to the axes of the columns.
-const RING_RADIUS: f64 = 5.6;
+const RING_RADIUS: f64 = 6.0;
 /// Height of a column with base and capital.
 const COLUMN_HEIGHT: f64 = 4.0;
 /// Beads on each garland between two columns.
@@ -33,7 +33,7 @@ pub(crate) fn build(scene: &mut Scene) -> Result<NodeKey> {
 
     // A low sun from the left, a little behind what is seen: columns and beads draw long shadows over the floor.
     let sun = Light { kind: LightKind::Directional, color: Vec3::new(1.0, 0.80, 0.56), intensity: 5.5, range: None };
-    let sun_pose = Transform::looking_at(dvec3(-5.5, 3.4, 1.6), DVec3::ZERO, DVec3::Y);
+    let sun_pose = Transform::looking_at(dvec3(-5.5, 2.9, 1.26), DVec3::ZERO, DVec3::Y);
     let sun_node = scene.add(root, sun_pose)?;
     scene.set_name(sun_node, "sun")?;
     scene.add(sun_node, sun)?;
@@ -60,7 +60,7 @@ fn add_court(scene: &mut Scene, root: NodeKey, marble: &Material) -> Result<()> 
     let texture = scene.add_texture(textures::marble_checker(512))?;
     let polished =
         Material { base_color_texture: Some(TextureRef::new(texture)), roughness: 0.0, ..Material::default() };
-    let floor = core(scene, shapes::disk(7.0, 128, 2.0), polished)?;
+    let floor = core(scene, shapes::disk(7.4, 128, 2.0), polished)?;
     let node = scene.add(root, floor)?;
     scene.set_name(node, "floor")?;
 
