@@ -18,7 +18,8 @@ pub struct Material {
     pub roughness: f32,
     /// Emitted radiance, linear, strength included.
     pub emissive: Vec3,
-    /// The part of non-reflected light that passes through, 0 to 1: 1 is glass.
+    /// The part of non-reflected light that passes through, 0 to 1: 1 is glass. A geometry that encloses a solid bends it by
+    /// `ior`; an open one is a thin pane that does not.
     pub transmission: f32,
     /// Index of refraction, 1 or more (0 means "infinite", as in glTF: a perfect reflector).
     pub ior: f32,

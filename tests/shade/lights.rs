@@ -1,5 +1,7 @@
 //! Direct light against glTF's formulas in f64, and shadows.
 
+use std::sync::Arc;
+
 use glam::{DAffine3, DVec3, Vec3, Vec4};
 use ropewalk::{AlphaMode, Geometry, LightKind, Material, Scene};
 
@@ -42,6 +44,18 @@ fn neither_side_is_lit_through_the_surface() {
     put(&mut scene, square(1.0), Material::default(), DAffine3::IDENTITY);
     put_light(&mut scene, LightKind::Point, 50.0, DVec3::new(0.1, 0.2, -2.0), DVec3::ZERO);
     assert_eq!(middle(&mut scene, black()), Vec3::ZERO);
+}
+
+#[test]
+fn a_tilted_shading_normal_lets_no_light_round_the_surface() {
+    for (height, is_lit) in [(-0.2, false), (0.2, true)] {
+        let mut scene = Scene::new();
+        let mut tilted = square(1.0);
+        tilted.normals = Some(Arc::new([Vec3::new(0.9, 0.0, 0.44); 4]));
+        put(&mut scene, tilted, Material::default(), DAffine3::IDENTITY);
+        put_light(&mut scene, LightKind::Directional, 1.0, DVec3::new(1.0, 0.0, height), DVec3::ZERO);
+        assert_eq!(middle(&mut scene, black()) != Vec3::ZERO, is_lit, "{height}");
+    }
 }
 
 /// What is left of the light on a floor below a screen of this material.

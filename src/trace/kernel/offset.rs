@@ -144,7 +144,17 @@ mod tests {
         Geometry::new(positions, indices)
     }
 
-    fn meshes(scale: f32) -> [(&'static str, Geometry); 4] {
+    /// A fan around the origin, in one plane with it: nothing but the triangles' size tells how far to step away.
+    fn disc(scale: f32) -> Geometry {
+        let angle = |i: u32| i as f32 / 7.0 * std::f32::consts::TAU;
+        let ring = (0..7).map(|i| Vec3::new(angle(i).cos(), 0.0, -angle(i).sin()) * scale);
+        Geometry::new(
+            [Vec3::ZERO].into_iter().chain(ring).collect::<Vec<_>>(),
+            [1, 2, 3, 4, 5, 6, 7].map(|i| [0, i, i % 7 + 1]),
+        )
+    }
+
+    fn meshes(scale: f32) -> [(&'static str, Geometry); 5] {
         let sphere = |t: f32| ((t * std::f32::consts::PI).sin(), (t * std::f32::consts::PI).cos());
         // Up one cap, down the side, in on the other: all of a face's triangles in one plane.
         let drum = |t: f32| (1.0f32.min(3.0 * t).min(3.0 * (1.0 - t)), (3.0 - 6.0 * t).clamp(-1.0, 1.0));
@@ -152,6 +162,7 @@ mod tests {
             ("fine sphere", lathed(64, 96, scale, sphere)),
             ("double pyramid", lathed(2, 4, scale, |t| ((t * std::f32::consts::PI).sin(), 1.0 - 2.0 * t))),
             ("drum", lathed(30, 12, scale, drum)),
+            ("disc", disc(scale)),
             ("rod", lathed(12, 8, scale, |t| (0.1 * (t * std::f32::consts::PI).sin(), 1.0 - 2.0 * t))),
         ]
     }
