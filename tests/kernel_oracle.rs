@@ -146,9 +146,6 @@ fn back_faces_are_culled_as_gltf_defines_them() {
     for p in &mut placed {
         p.mesh = 0;
         p.flags = InstanceFlags::CULL_BACK;
-        if p.world_from_local.matrix3.determinant() < 0.0 {
-            p.flags |= InstanceFlags::MIRRORED;
-        }
     }
     let mut arrays = arrays(&[Mesh::icosphere(1)], &placed);
     check("culled", &mut arrays, &rays(&mut random, DVec3::ZERO, 4.0, 4000), 7);

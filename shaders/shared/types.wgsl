@@ -32,11 +32,10 @@ struct Instance {
     node: vec2<u32>,
 }
 
-const INSTANCE_MIRRORED: u32 = 1u;
-const INSTANCE_CULL_BACK: u32 = 2u;
-const INSTANCE_ALPHA_MASK: u32 = 4u;
-const INSTANCE_TRANSLUCENT: u32 = 8u;
-const INSTANCE_THIN: u32 = 16u;
+const INSTANCE_CULL_BACK: u32 = 1u;
+const INSTANCE_ALPHA_MASK: u32 = 2u;
+const INSTANCE_TRANSLUCENT: u32 = 4u;
+const INSTANCE_THIN: u32 = 8u;
 
 struct Streams {
     first_index: u32,

@@ -14,7 +14,6 @@ pub(super) struct Placement {
     /// Rows of `local_from_world` and `world_from_local`, world relative to the render origin.
     local_from_world: [[f32; 4]; 3],
     world_from_local: [[f32; 4]; 3],
-    mirrored: bool,
     /// The box around the instance in that world.
     pub(super) bounds: Aabb,
 }
@@ -43,15 +42,9 @@ impl Placement {
         let slack = f64::from(f32::EPSILON) * 4.0 * world.min.abs().max(world.max.abs()).max_element();
         let (min, max) = (world.min - slack, world.max + slack);
         let bounds = Aabb { min: min.as_vec3(), max: max.as_vec3() };
-        let mirrored = determinant < 0.0;
         bounds.min.is_finite().then_some(())?;
         bounds.max.is_finite().then_some(())?;
-        Some(Self {
-            local_from_world: rows(&local_from_world),
-            world_from_local: rows(&world_from_local),
-            mirrored,
-            bounds,
-        })
+        Some(Self { local_from_world: rows(&local_from_world), world_from_local: rows(&world_from_local), bounds })
     }
 
     /// The device record. `first_*`, `geometry` and `material` are indices into the arrays of those names.
@@ -59,10 +52,9 @@ impl Placement {
         &self,
         [first_node, first_triangle, geometry, material]: [u32; 4],
         mask: u32,
-        mut flags: InstanceFlags,
+        flags: InstanceFlags,
         node: NodeKey,
     ) -> Instance {
-        flags.set(InstanceFlags::MIRRORED, self.mirrored);
         let key = node.data().as_ffi();
         Instance {
             local_from_world: self.local_from_world,

@@ -104,16 +104,14 @@ bitflags::bitflags! {
     /// What traversal must know of an instance and its material.
     #[derive(Clone, Copy, Debug, PartialEq, Eq)]
     pub struct InstanceFlags: u32 {
-        /// The transform mirrors: counter-clockwise triangles in local space are clockwise in the world.
-        const MIRRORED = 1;
         /// `closest_hit` passes through back faces (single-sided and not transmissive).
-        const CULL_BACK = 2;
+        const CULL_BACK = 1;
         /// `closest_hit` must ask the material whether a candidate is a hole (alpha mask).
-        const ALPHA_MASK = 4;
+        const ALPHA_MASK = 2;
         /// `any_hit` must ask the material how much light passes (alpha mask, blend or transmission).
-        const TRANSLUCENT = 8;
+        const TRANSLUCENT = 4;
         /// A transmissive surface that encloses nothing (its geometry is not closed): light passes without bending.
-        const THIN = 16;
+        const THIN = 8;
     }
 }
 

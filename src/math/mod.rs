@@ -1,4 +1,4 @@
-//! Boxes, rays and the conversions between the graph's f64 and the device's f32.
+//! Axis-aligned boxes.
 
 mod aabb;
 pub use aabb::{Aabb, Bounds};

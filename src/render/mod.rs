@@ -10,13 +10,13 @@ use serde::Serialize;
 pub use report::FrameReport;
 pub use view::{Sky, View};
 
+use crate::Result;
 use crate::compile::Compiler;
 use crate::graph::Scene;
 use crate::image::Image;
 #[cfg(feature = "gpu")]
 use crate::trace::gpu::{Adapters, GpuOptions, GpuTracer};
 use crate::trace::{Cpu, DeviceInfo, Emulated, FrameRequest, Tracer};
-use crate::{Error, Result};
 
 /// Draws scenes by ray tracing.
 ///
@@ -73,7 +73,7 @@ impl Renderer {
     /// A renderer with its own device.
     ///
     /// # Errors
-    /// [`Error::NoGpu`] if [`DeviceChoice::Gpu`] was asked for and there is none, naming each adapter and what is wrong
+    /// [`Error::NoGpu`](crate::Error::NoGpu) if [`DeviceChoice::Gpu`] was asked for and there is none, naming each adapter and what is wrong
     /// with it. [`DeviceChoice::Auto`] falls back to the CPU instead: see [`fallback`](Self::fallback).
     pub fn new(options: &RendererOptions) -> Result<Self> {
         let (tracer, fallback): (Box<dyn Tracer>, _) = match options.device {
@@ -108,7 +108,7 @@ impl Renderer {
     /// The frame stays on the device; [`Frame::image`] reads it back.
     ///
     /// # Errors
-    /// As [`View::validate`]; [`Error::Limit`] if scene or image are too large for the device, [`Error::Gpu`] if the driver fails.
+    /// As [`View::validate`]; [`Error::Limit`](crate::Error::Limit) if scene or image are too large for the device, [`Error::Gpu`](crate::Error::Gpu) if the driver fails.
     pub fn render(&mut self, scene: &mut Scene, view: &View) -> Result<Frame<'_>> {
         let start = Instant::now();
         view.validate()?;
@@ -156,7 +156,7 @@ impl Frame<'_> {
     /// Copies the frame to main memory.
     ///
     /// # Errors
-    /// [`Error::Gpu`] if the driver fails.
+    /// [`Error::Gpu`](crate::Error::Gpu) if the driver fails.
     pub fn image(&self) -> Result<Image> {
         self.tracer.read()
     }
@@ -183,5 +183,5 @@ fn open_gpu(choice: DeviceChoice) -> Result<Box<dyn Tracer>> {
 
 #[cfg(not(feature = "gpu"))]
 fn open_gpu(_: DeviceChoice) -> Result<Box<dyn Tracer>> {
-    Err(Error::NoGpu { reason: "Ropewalk was built without its `gpu` feature".to_owned() })
+    Err(crate::Error::NoGpu { reason: "Ropewalk was built without its `gpu` feature".to_owned() })
 }
