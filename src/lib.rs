@@ -1,4 +1,44 @@
 //! Ropewalk: a retained scene graph that is ray traced.
+//!
+//! Build a [`Scene`] or [import](gltf::import) a glTF file, change it as you like, and draw it with
+//! [`Renderer::render`], the one call a frame: on any GPU that wgpu reaches, or on the CPU. Acceleration structures are
+//! built, kept and updated behind that call; the frame's [report](FrameReport) says what was done, and why.
+//!
+//! ```
+//! use glam::{DVec3, Vec3};
+//! use ropewalk::{
+//!     Core, DeviceChoice, Geometry, Light, LightKind, Material, Renderer, RendererOptions, Scene, Transform, View,
+//! };
+//!
+//! // A triangle, twice: two nodes share one core.
+//! let mut scene = Scene::new();
+//! let root = scene.root();
+//! let geometry = scene.add_geometry(Geometry::new([Vec3::NEG_X, Vec3::X, Vec3::Y], [[0, 1, 2]]))?;
+//! let material = scene.add_material(Material::diffuse(Vec3::new(0.8, 0.3, 0.1)))?;
+//! let triangle = scene.add_core(Core::Geometry { geometry, material })?;
+//! let left = scene.add(root, Transform::from_translation(DVec3::new(-1.5, 0.0, 0.0)))?;
+//! let right = scene.add(root, Transform::from_translation(DVec3::new(1.5, 0.0, 0.0)))?;
+//! scene.add(left, triangle)?;
+//! scene.add(right, triangle)?;
+//! let sun = scene.add(root, Transform::looking_at(DVec3::new(1.0, 2.0, 3.0), DVec3::ZERO, DVec3::Y))?;
+//! scene.add(sun, Light { kind: LightKind::Directional, color: Vec3::ONE, intensity: 3.0, range: None })?;
+//!
+//! let mut renderer = Renderer::new(&RendererOptions { device: DeviceChoice::Cpu })?;
+//! let view = View::framing(&scene, 80, 60)?;
+//! let first = renderer.render(&mut scene, &view)?.report().clone();
+//! assert_eq!((first.compile.blas_built, first.compile.instances), (1, 2));
+//!
+//! // Moving a node rebuilds the top level only.
+//! scene.set_local(left, Transform::from_translation(DVec3::new(-1.5, 0.5, 0.0)))?;
+//! let frame = renderer.render(&mut scene, &view)?;
+//! assert_eq!(frame.report().compile.blas_built, 0);
+//! let image = frame.image()?;
+//! assert_eq!(image.color.len(), 80 * 60);
+//! # Ok::<(), ropewalk::Error>(())
+//! ```
+//!
+//! Start with [`Scene`], [`gltf::import`], [`View`] and [`Renderer`]. The modules [`accel`], [`compile`], [`device`] and
+//! [`trace`] are the machine room, for those who bring their own executor or want to look inside.
 
 pub mod accel;
 pub mod compile;
@@ -19,3 +59,8 @@ pub use graph::{
 };
 pub use math::{Aabb, Bounds};
 pub use render::{DeviceChoice, Frame, FrameReport, Renderer, RendererOptions, Sky, View};
+
+/// The README's program compiles.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

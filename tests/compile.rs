@@ -21,7 +21,7 @@ const EYE: DVec3 = DVec3::new(0.0, 0.0, 10.0);
 proptest! {
     #![proptest_config(ProptestConfig { cases: 192, ..ProptestConfig::default() })]
 
-    /// DESIGN, section 4: the scene compiled incrementally equals the scene compiled from nothing.
+    /// ARCHITECTURE, invariants: the scene compiled edit by edit equals the scene compiled from nothing.
     #[test]
     fn random_edits_compile_as_from_nothing(edits in prop::collection::vec(edit(), 1..60), every in 1usize..8) {
         let mut world = World::new();

@@ -100,7 +100,7 @@ fn a_moved_node_is_seen_where_it_is() {
     assert_eq!(seen(&mut renderer, &mut scene, cubes[2]), 0);
 }
 
-/// DESIGN, section 4: a scene far from the origin looks the same as at it.
+/// ARCHITECTURE, numbers: a scene far from the origin looks the same as at it.
 #[test]
 fn a_scene_far_from_the_origin_looks_the_same() {
     let (mut scene, world, _) = scene();

@@ -24,7 +24,11 @@ use crate::image::Image;
 /// Something that traces rays through [`DeviceArrays`]: the same rays through the same arrays give the same hits in
 /// every executor (see the tie band in `docs/ARCHITECTURE.md`).
 ///
-/// Call [`upload`](Self::upload) after the arrays change and before tracing.
+/// Call [`upload`](Self::upload) after the arrays change and before tracing. A ray with a number that is not finite, or
+/// with a direction of zero, hits nothing or anything, but does no harm.
+///
+/// Each call may fail with [`Error::Gpu`](crate::Error::Gpu), where the driver does, and with
+/// [`Error::Limit`](crate::Error::Limit), where an image or a batch is too large for the device.
 pub trait Tracer {
     /// What runs the kernel.
     fn device(&self) -> &DeviceInfo;
