@@ -23,7 +23,8 @@ impl Placement {
     /// fit f32: such a geometry cannot be hit.
     ///
     /// What the device sees is the geometry under the *inverse of the rounded* `local_from_world`, so the box is
-    /// computed from that and then widened by the rounding of the ray transform: a few ulp of its largest coordinate.
+    /// computed from that, and then widened by the rounding of the ray transform: each local coordinate of a point x is off
+    /// by less than 4 ulp of `|local_from_world| |x| + |translation|`, which the inverse takes back to the world.
     pub(super) fn new(world_from_local: &DAffine3, origin: DVec3, bounds: &Aabb) -> Option<Self> {
         let mut relative = *world_from_local;
         relative.translation -= origin;
@@ -32,19 +33,25 @@ impl Placement {
             return None;
         }
         let local_from_world = relative.inverse().as_affine3();
-        let effective = local_from_world.as_daffine3().inverse();
+        let device = local_from_world.as_daffine3();
+        let effective = device.inverse();
         let world_from_local = effective.as_affine3();
         if !(local_from_world.is_finite() && world_from_local.is_finite() && effective.is_finite()) {
             return None;
         }
 
         let world = crate::math::Bounds::from(*bounds).transformed(&effective);
-        let slack = f64::from(f32::EPSILON) * 4.0 * world.min.abs().max(world.max.abs()).max_element();
+        let corner = world.min.abs().max(world.max.abs());
+        let local_error = device.matrix3.abs() * corner + device.translation.abs();
+        let slack = effective.matrix3.abs() * local_error * (4.0 * f64::from(f32::EPSILON));
         let (min, max) = (world.min - slack, world.max + slack);
         let bounds = Aabb { min: min.as_vec3(), max: max.as_vec3() };
-        bounds.min.is_finite().then_some(())?;
-        bounds.max.is_finite().then_some(())?;
-        Some(Self { local_from_world: rows(&local_from_world), world_from_local: rows(&world_from_local), bounds })
+        let fits = bounds.min.is_finite() && bounds.max.is_finite();
+        fits.then(|| Self {
+            local_from_world: rows(&local_from_world),
+            world_from_local: rows(&world_from_local),
+            bounds,
+        })
     }
 
     /// The device record. `first_*`, `geometry` and `material` are indices into the arrays of those names.
