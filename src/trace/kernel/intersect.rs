@@ -49,7 +49,7 @@ pub(super) struct SlabRay {
 }
 
 /// A ray as triangles see it: the rows of a shear that takes it to the z axis, and of what takes points to t.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Default)]
 pub(super) struct ShearRay {
     pub origin: Vec3,
     pub x_row: Vec3,
@@ -135,8 +135,10 @@ pub(super) fn shear_ray(origin: Vec3, direction: Vec3, extent: f32) -> ShearRay 
         t_row = Vec3::new(0.0, 0.0, 1.0 / depth);
     }
     // Looking down the axis swaps left and right: swap back, so that the winding stays.
-    let (x_row, y_row) = if depth < 0.0 { (y_row, x_row) } else { (x_row, y_row) };
-    ShearRay { origin, x_row: x_row * scale, y_row: y_row * scale, t_row, depth_scale: depth.abs() * scale }
+    if depth < 0.0 {
+        return ShearRay { origin, x_row: y_row * scale, y_row: x_row * scale, t_row, depth_scale: -depth * scale };
+    }
+    ShearRay { origin, x_row: x_row * scale, y_row: y_row * scale, t_row, depth_scale: depth * scale }
 }
 
 /// Where the ray meets the triangle, anywhere along its line. The point is on the triangle, tolerance or not: the weights

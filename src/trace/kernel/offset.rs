@@ -52,7 +52,8 @@ pub(crate) fn anchor_on(instance: &Instance, triangle: &Triangle, weights: Vec3,
     let local_normal = cross3(edge_1 * to_unit_edges, edge_2 * to_unit_edges);
     let world_normal = transform_normal(&instance.local_from_world, local_normal);
     let largest = max_component(world_normal.abs());
-    if largest <= 0.0 {
+    let has_plane = largest > 0.0;
+    if !has_plane {
         return Anchor { position, normal: fallback, distance: 0.0 };
     }
 
