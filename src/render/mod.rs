@@ -187,7 +187,7 @@ impl Frame<'_> {
 fn check(view: &View) -> Result<()> {
     if view.max_depth > View::MAX_DEPTH {
         let value = view.max_depth.to_string();
-        return Err(Error::OutOfRange { what: "depth", value, expected: "at most 8 reflections and refractions" });
+        return Err(Error::OutOfRange { what: "depth", value, expected: "at most View::MAX_DEPTH" });
     }
     if !view.world_from_view.is_finite() {
         let value = format!("{:?}", view.world_from_view);

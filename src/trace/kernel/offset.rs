@@ -28,9 +28,9 @@ use super::math::{cross3, dot3, length3, transform_normal, transform_point};
 use super::surface::Surface;
 use crate::device::layout::{Instance, Triangle};
 
-const HALF_ULP: f32 = 1.0 / 16_777_216.0;
-const TRANSFORM_ERROR: f32 = 16.0 * HALF_ULP;
-const EDGE_ERROR: f32 = 64.0 * HALF_ULP;
+pub(super) const HALF_ULP: f32 = 1.0 / 16_777_216.0;
+pub(super) const TRANSFORM_ERROR: f32 = 16.0 * HALF_ULP;
+pub(super) const EDGE_ERROR: f32 = 64.0 * HALF_ULP;
 
 /// A point of a triangle in the world, with the plane's unit normal on the winding's side, and how far along it a ray must
 /// start so that its own rounding cannot put it on the wrong side.
