@@ -1,4 +1,4 @@
-//! Every kernel is valid WGSL, and its structs and constants are those of the Rust types.
+//! Every kernel is valid WGSL, and its structs are those of the Rust types.
 
 #![allow(clippy::panic, reason = "a test fails by panicking")]
 
@@ -9,8 +9,7 @@ use naga::proc::Layouter;
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 use ropewalk::compile::Needs;
 use ropewalk::device::layout::{
-    FrameParams, Hit, Instance, InstanceFlags, LIGHT_DIRECTIONAL, LIGHT_POINT, LIGHT_SPOT, Light, Material,
-    MaterialFlags, NONE, Node, Ray, RayBatch, Streams, TextureFlags, TextureInfo, Triangle,
+    FrameParams, Hit, Instance, Light, Material, Node, Ray, RayBatch, Streams, TextureInfo, Triangle,
 };
 use ropewalk::trace::shader::EntryPoint;
 
@@ -142,36 +141,4 @@ fn swapped_members_are_noticed() {
     let (rust, wgsl) = (rust_layouts(), wgsl_layouts(&swapped));
     assert_ne!(rust["Instance"], wgsl["Instance"]);
     assert_eq!(rust["Instance"].1, wgsl["Instance"].1);
-}
-
-fn rust_constants() -> BTreeMap<String, String> {
-    fn flags<F: bitflags::Flags<Bits = u32>>(prefix: &str) -> Vec<(String, String)> {
-        F::FLAGS.iter().map(|f| (format!("{prefix}_{}", f.name()), f.value().bits().to_string())).collect()
-    }
-    let numbers = [
-        ("NONE", NONE.to_string()),
-        ("LIGHT_POINT", LIGHT_POINT.to_string()),
-        ("LIGHT_SPOT", LIGHT_SPOT.to_string()),
-        ("LIGHT_DIRECTIONAL", LIGHT_DIRECTIONAL.to_string()),
-        ("F32_MAX", f32::MAX.to_string()),
-        ("F32_MIN_NORMAL", f32::MIN_POSITIVE.to_string()),
-    ];
-    let numbers = numbers.map(|(name, value)| (name.to_owned(), value));
-    let flags =
-        [flags::<InstanceFlags>("INSTANCE"), flags::<MaterialFlags>("MATERIAL"), flags::<TextureFlags>("TEXTURE")];
-    numbers.into_iter().chain(flags.into_iter().flatten()).collect()
-}
-
-#[test]
-fn constants_have_the_same_values() {
-    let module = naga::front::wgsl::parse_str(TYPES).unwrap_or_else(|e| panic!("{}", e.emit_to_string(TYPES)));
-    let value = |constant: &naga::Constant| match module.global_expressions[constant.init] {
-        naga::Expression::Literal(naga::Literal::U32(value)) => value.to_string(),
-        naga::Expression::Literal(naga::Literal::F32(value)) => value.to_string(),
-        ref other => panic!("{:?} is {other:?}", constant.name),
-    };
-    let wgsl: BTreeMap<String, String> =
-        module.constants.iter().map(|(_, c)| (c.name.clone().unwrap_or_default(), value(c))).collect();
-    assert!(!wgsl.is_empty());
-    assert_eq!(rust_constants(), wgsl);
 }

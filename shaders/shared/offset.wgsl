@@ -24,7 +24,8 @@ fn anchor_on(instance: Instance, triangle: Triangle, weights: vec3<f32>, fallbac
     let local_normal = cross3(edge_1 * to_unit_edges, edge_2 * to_unit_edges);
     let world_normal = transform_normal(instance.local_from_world, local_normal);
     let largest = max_component(abs(world_normal));
-    if !(largest > 0.0) {
+    let has_plane = largest > 0.0;
+    if !has_plane {
         return Anchor(position, fallback, 0.0);
     }
 

@@ -1,6 +1,12 @@
 // The sky: radiance that changes with the sine of the elevation, linearly from the horizon up to the zenith and down to the
 // ground. Twin of src/trace/kernel/sky.rs.
 
+// Of the even powers of the height in cosine_overlap.
+const OVERLAP_FIT_6: f32 = 0.012317886;
+const OVERLAP_FIT_4: f32 = 0.00050638014;
+const OVERLAP_FIT_2: f32 = 0.107993014;
+const OVERLAP_FIT_0: f32 = 0.21214621;
+
 fn sky_radiance(direction: vec3<f32>) -> vec3<f32> {
     let height = clamp(dot3(direction, params.sky_up), -1.0, 1.0);
     return sky_mix(max(height, 0.0), max(-height, 0.0));
@@ -27,6 +33,6 @@ fn sky_mix(up: f32, down: f32) -> vec3<f32> {
 // 2 / (3 pi) (sqrt(1 - h^2) + h (pi - acos h)): h / 3 and an even function, here a Chebyshev fit to 4e-4.
 fn cosine_overlap(height: f32) -> f32 {
     let square = height * height;
-    let even = ((0.0123178856 * square + 0.000506380142) * square + 0.107993013) * square + 0.212146212;
+    let even = ((OVERLAP_FIT_6 * square + OVERLAP_FIT_4) * square + OVERLAP_FIT_2) * square + OVERLAP_FIT_0;
     return max(height * (1.0 / 3.0) + even, 0.0);
 }

@@ -1,5 +1,19 @@
 // Textures: texels in one array (the paper's Tex), read as glTF samplers say. Twin of src/trace/kernel/texture.rs.
 
+// The curve of sRGB: a straight part, 1 / 12.92 steep, and a power of (c + 0.055) / 1.055. See linear_from_srgb.
+const SRGB_STRAIGHT_END: f32 = 0.04045;
+const SRGB_STRAIGHT_SLOPE: f32 = 0.07739938; // 1 / 12.92
+const SRGB_SCALE: f32 = 0.9478673; // 1 / 1.055
+const SRGB_OFFSET: f32 = 0.0521327; // 0.055 / 1.055
+// Of the powers of s.
+const SRGB_FIT_6: f32 = -1.0750611;
+const SRGB_FIT_5: f32 = 4.978437;
+const SRGB_FIT_4: f32 = -9.720242;
+const SRGB_FIT_3: f32 = 10.42147;
+const SRGB_FIT_2: f32 = -6.720234;
+const SRGB_FIT_1: f32 = 2.7338104;
+const SRGB_FIT_0: f32 = -0.818191;
+
 // The filtered value of a texture at texture coordinates of the set that it uses.
 fn sample_texture(info: TextureInfo, tex_coord: vec2<f32>) -> vec4<f32> {
     let coord = image_coordinates(info, tex_coord);
@@ -78,17 +92,17 @@ fn wrap(i: i32, size: i32, mirror_flag: u32, clamp_flag: u32) -> i32 {
 // The sRGB decoding of IEC 61966-2-1, ((c + 0.055) / 1.055)^2.4, to a relative error of 2e-5 (1/400 of the step between two
 // 8-bit values): x^2.4 = x^2 s s^-0.2 with s = sqrt(x), and a Chebyshev fit of s^-0.2 that is 1 at 1.
 fn linear_from_srgb(c: f32) -> f32 {
-    if c <= 0.04045 {
-        return c * (1.0 / 12.92);
+    if c <= SRGB_STRAIGHT_END {
+        return c * SRGB_STRAIGHT_SLOPE;
     }
-    let x = c * (1.0 / 1.055) + (0.055 / 1.055);
+    let x = c * SRGB_SCALE + SRGB_OFFSET;
     let s = sqrt(x);
-    var slope = -1.0750610828399658 * s + 4.9784369468688965;
-    slope = slope * s - 9.72024154663086;
-    slope = slope * s + 10.421469688415527;
-    slope = slope * s - 6.720233917236328;
-    slope = slope * s + 2.7338104248046875;
-    slope = slope * s - 0.8181909918785095;
+    var slope = SRGB_FIT_6 * s + SRGB_FIT_5;
+    slope = slope * s + SRGB_FIT_4;
+    slope = slope * s + SRGB_FIT_3;
+    slope = slope * s + SRGB_FIT_2;
+    slope = slope * s + SRGB_FIT_1;
+    slope = slope * s + SRGB_FIT_0;
     return ((x * x) * s) * (1.0 + (s - 1.0) * slope);
 }
 

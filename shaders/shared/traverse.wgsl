@@ -5,6 +5,7 @@ struct Traversal {
     // The ray in world space, and in the space of the level that it is in.
     world: SlabRay,
     level: SlabRay,
+    // The ray in the space of the instance that it is in, if any.
     shear: ShearRay,
     direction: vec3<f32>,
     t_min: f32,

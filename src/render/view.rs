@@ -5,7 +5,7 @@ use glam::{DAffine3, DVec3, Vec3};
 use crate::device::layout::FrameParams;
 use crate::graph::{Camera, Core, NodeKey, Scene, Transform};
 use crate::math::Bounds;
-use crate::{Error, Result};
+use crate::{Error, Result, trace};
 
 /// What [`Renderer::render`](super::Renderer::render) draws.
 ///
@@ -39,7 +39,7 @@ pub struct View {
 
 impl View {
     /// The most reflections and refractions that a path may have.
-    pub const MAX_DEPTH: u32 = 8;
+    pub const MAX_DEPTH: u32 = trace::MAX_DEPTH;
 
     /// Looks from `eye` at `target`, world space.
     pub fn look_at(eye: DVec3, target: DVec3, up: DVec3, camera: Camera, width: u32, height: u32) -> Self {

@@ -10,6 +10,7 @@ pub mod shader;
 
 pub use cpu::Cpu;
 pub use emulated::Emulated;
+pub(crate) use kernel::MAX_DEPTH;
 
 use std::time::Duration;
 

@@ -11,9 +11,9 @@ use super::surface::{GRAZING, Surface, unit_or};
 use crate::compile::MAX_MIRROR_ROUGHNESS;
 
 /// Roughness up to which a surface is a mirror. Above [`MAX_MIRROR_ROUGHNESS`] nothing is seen in it.
-const MIRROR_ROUGHNESS: f32 = 0.1;
+pub(super) const MIRROR_ROUGHNESS: f32 = 0.1;
 /// Punctual lights have no size, and a polished surface would show none: they are seen in it as in this roughness.
-const HIGHLIGHT_ROUGHNESS: f32 = 0.1;
+pub(super) const HIGHLIGHT_ROUGHNESS: f32 = 0.1;
 
 /// How much of a surface's reflection is traced, 1 for a mirror; the rest is blurred sky.
 pub(crate) fn sharpness(roughness: f32) -> f32 {

@@ -14,7 +14,7 @@ mod traverse;
 mod whitted;
 
 pub(crate) use traverse::{any_hit, closest_hit, transmittance};
-pub(crate) use whitted::{Pixel, render_pixel};
+pub(crate) use whitted::{MAX_DEPTH, Pixel, render_pixel};
 
 use crate::device::DeviceArrays;
 use crate::device::layout::{Instance, Light, Material, Node, Streams, TextureInfo, Triangle};
@@ -53,6 +53,88 @@ impl<'a> KernelScene<'a> {
             texture_infos: &arrays.texture_infos,
             texels: &arrays.texels,
             lights: &arrays.lights,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use crate::compile::{MAX_MIRROR_ROUGHNESS, Needs};
+    use crate::device::layout::{
+        InstanceFlags, LIGHT_DIRECTIONAL, LIGHT_POINT, LIGHT_SPOT, MaterialFlags, NONE, TextureFlags,
+    };
+    use crate::trace::shader::EntryPoint;
+
+    /// Constants by name: `{:?}` writes as many digits as tell an `f32` from its neighbours, and a point.
+    type Constants = BTreeMap<String, String>;
+
+    /// Constants of the kernel, each under its own name.
+    macro_rules! named {
+        ($($module:ident { $($name:ident),* $(,)? })*) => {
+            [$($((stringify!($name).to_owned(), format!("{:?}", super::$module::$name))),*),*]
+        };
+    }
+
+    fn rust_constants() -> Constants {
+        fn flags<F: bitflags::Flags<Bits = u32>>(prefix: &str) -> impl Iterator<Item = (String, String)> {
+            F::FLAGS.iter().map(move |f| (format!("{prefix}_{}", f.name()), f.value().bits().to_string()))
+        }
+        let kernel = named! {
+            intersect { BOX_SLACK, LEAST_SHARE, LEAST_COMPONENT, CORNER_TOLERANCE, EDGE_TOLERANCE }
+            texture { SRGB_STRAIGHT_END, SRGB_STRAIGHT_SLOPE, SRGB_SCALE, SRGB_OFFSET }
+            texture { SRGB_FIT_6, SRGB_FIT_5, SRGB_FIT_4, SRGB_FIT_3, SRGB_FIT_2, SRGB_FIT_1, SRGB_FIT_0 }
+            surface { GRAZING }
+            offset { HALF_ULP, TRANSFORM_ERROR, EDGE_ERROR }
+            sky { OVERLAP_FIT_6, OVERLAP_FIT_4, OVERLAP_FIT_2, OVERLAP_FIT_0 }
+            brdf { MIRROR_ROUGHNESS, HIGHLIGHT_ROUGHNESS }
+            whitted { MAX_DEPTH, MAX_LAYERS, MAX_RAYS, MIN_THROUGHPUT, MAX_PENDING }
+        };
+        let others = [
+            ("NONE", NONE.to_string()),
+            ("LIGHT_POINT", LIGHT_POINT.to_string()),
+            ("LIGHT_SPOT", LIGHT_SPOT.to_string()),
+            ("LIGHT_DIRECTIONAL", LIGHT_DIRECTIONAL.to_string()),
+            ("PI", format!("{:?}", std::f32::consts::PI)),
+            ("F32_MAX", format!("{:?}", f32::MAX)),
+            ("F32_MIN_NORMAL", format!("{:?}", f32::MIN_POSITIVE)),
+            ("MAX_MIRROR_ROUGHNESS", format!("{MAX_MIRROR_ROUGHNESS:?}")),
+        ];
+        let others = others.map(|(name, value)| (name.to_owned(), value));
+        let flags =
+            flags::<InstanceFlags>("INSTANCE")
+                .chain(flags::<MaterialFlags>("MATERIAL"))
+                .chain(flags::<TextureFlags>("TEXTURE"));
+        kernel.into_iter().chain(others).chain(flags).collect()
+    }
+
+    /// Every constant of a module but the generated `NEEDS_*`.
+    fn wgsl_constants(source: &str) -> Constants {
+        let module = naga::front::wgsl::parse_str(source).unwrap_or_else(|e| panic!("{}", e.emit_to_string(source)));
+        // naga forgets constants without a type.
+        assert_eq!(module.constants.len(), source.lines().filter(|line| line.starts_with("const ")).count());
+        let constants = module.constants.iter().map(|(_, constant)| {
+            let value = match module.global_expressions[constant.init] {
+                naga::Expression::Literal(naga::Literal::U32(value)) => format!("{value:?}"),
+                naga::Expression::Literal(naga::Literal::F32(value)) => format!("{value:?}"),
+                naga::Expression::Literal(naga::Literal::Bool(value)) => format!("{value:?}"),
+                ref other => panic!("{:?} is {other:?}", constant.name),
+            };
+            (constant.name.clone().expect("module-scope constants have names"), value)
+        });
+        constants.filter(|(name, _)| !name.starts_with("NEEDS_")).collect()
+    }
+
+    #[test]
+    fn wgsl_has_the_same_constants() {
+        let rust = rust_constants();
+        // With every need: less shortens MAX_PENDING.
+        let wgsl = wgsl_constants(&EntryPoint::RenderAovs.source(Needs::all()));
+        let names: Vec<&String> = rust.keys().chain(wgsl.keys().filter(|name| !rust.contains_key(*name))).collect();
+        assert!(names.len() > 40, "{} constants", names.len());
+        for name in names {
+            assert_eq!(rust.get(name), wgsl.get(name), "{name}, in Rust and in WGSL");
         }
     }
 }

@@ -28,9 +28,9 @@ use super::math::{cross3, dot3, length3, transform_normal, transform_point};
 use super::surface::Surface;
 use crate::device::layout::{Instance, Triangle};
 
-const HALF_ULP: f32 = 1.0 / 16_777_216.0;
-const TRANSFORM_ERROR: f32 = 16.0 * HALF_ULP;
-const EDGE_ERROR: f32 = 64.0 * HALF_ULP;
+pub(super) const HALF_ULP: f32 = 1.0 / 16_777_216.0;
+pub(super) const TRANSFORM_ERROR: f32 = 16.0 * HALF_ULP;
+pub(super) const EDGE_ERROR: f32 = 64.0 * HALF_ULP;
 
 /// A point of a triangle in the world, with the plane's unit normal on the winding's side, and how far along it a ray must
 /// start so that its own rounding cannot put it on the wrong side.
@@ -52,7 +52,8 @@ pub(crate) fn anchor_on(instance: &Instance, triangle: &Triangle, weights: Vec3,
     let local_normal = cross3(edge_1 * to_unit_edges, edge_2 * to_unit_edges);
     let world_normal = transform_normal(&instance.local_from_world, local_normal);
     let largest = max_component(world_normal.abs());
-    if largest <= 0.0 {
+    let has_plane = largest > 0.0;
+    if !has_plane {
         return Anchor { position, normal: fallback, distance: 0.0 };
     }
 

@@ -6,6 +6,12 @@ use glam::Vec3;
 use super::math::{dot3, max, mix3};
 use crate::device::layout::FrameParams;
 
+/// Of the even powers of the height in [`cosine_overlap`].
+pub(super) const OVERLAP_FIT_6: f32 = 0.012_317_886;
+pub(super) const OVERLAP_FIT_4: f32 = 0.000_506_380_14;
+pub(super) const OVERLAP_FIT_2: f32 = 0.107_993_014;
+pub(super) const OVERLAP_FIT_0: f32 = 0.212_146_21;
+
 pub(crate) fn sky_radiance(params: &FrameParams, direction: Vec3) -> Vec3 {
     let height = dot3(direction, Vec3::from_array(params.sky_up)).clamp(-1.0, 1.0);
     sky_mix(params, max(height, 0.0), max(-height, 0.0))
@@ -33,7 +39,7 @@ fn sky_mix(params: &FrameParams, up: f32, down: f32) -> Vec3 {
 /// 2 / (3 pi) (sqrt(1 - h^2) + h (pi - acos h)): h / 3 and an even function, here a Chebyshev fit to 4e-4.
 fn cosine_overlap(height: f32) -> f32 {
     let square = height * height;
-    let even = ((0.012_317_886 * square + 0.000_506_380_14) * square + 0.107_993_01) * square + 0.212_146_21;
+    let even = ((OVERLAP_FIT_6 * square + OVERLAP_FIT_4) * square + OVERLAP_FIT_2) * square + OVERLAP_FIT_0;
     max(height * (1.0 / 3.0) + even, 0.0)
 }
 

@@ -5,6 +5,23 @@ use glam::{Vec2, Vec4};
 use super::KernelScene;
 use crate::device::layout::{TextureFlags, TextureInfo};
 
+/// The curve of sRGB: a straight part, 1 / 12.92 steep, and a power of (c + 0.055) / 1.055. See [`linear_from_srgb`].
+pub(super) const SRGB_STRAIGHT_END: f32 = 0.04045;
+/// 1 / 12.92; like the two below a rounded quotient, not one of rounded numbers.
+pub(super) const SRGB_STRAIGHT_SLOPE: f32 = 0.077_399_38;
+/// 1 / 1.055.
+pub(super) const SRGB_SCALE: f32 = 0.947_867_3;
+/// 0.055 / 1.055.
+pub(super) const SRGB_OFFSET: f32 = 0.052_132_7;
+/// Of the powers of s.
+pub(super) const SRGB_FIT_6: f32 = -1.075_061_1;
+pub(super) const SRGB_FIT_5: f32 = 4.978_437;
+pub(super) const SRGB_FIT_4: f32 = -9.720_242;
+pub(super) const SRGB_FIT_3: f32 = 10.421_47;
+pub(super) const SRGB_FIT_2: f32 = -6.720_234;
+pub(super) const SRGB_FIT_1: f32 = 2.733_810_4;
+pub(super) const SRGB_FIT_0: f32 = -0.818_191;
+
 /// The filtered value of a texture at texture coordinates of the set that it uses.
 pub(crate) fn sample_texture(scene: &KernelScene<'_>, info: &TextureInfo, tex_coord: Vec2) -> Vec4 {
     let coord = image_coordinates(info, tex_coord);
@@ -116,17 +133,17 @@ fn wrapped(i: i32, size: i32, wrap: Wrap) -> i32 {
 ///
 /// A table of 256 values would be exact, but a shader that indexes a constant array copies it first on some drivers.
 pub(crate) fn linear_from_srgb(c: f32) -> f32 {
-    if c <= 0.04045 {
-        return c * (1.0 / 12.92);
+    if c <= SRGB_STRAIGHT_END {
+        return c * SRGB_STRAIGHT_SLOPE;
     }
-    let x = c * (1.0 / 1.055) + (0.055 / 1.055);
+    let x = c * SRGB_SCALE + SRGB_OFFSET;
     let s = x.sqrt();
-    let mut slope = -1.075_061_1 * s + 4.978_437;
-    slope = slope * s - 9.720_242;
-    slope = slope * s + 10.421_47;
-    slope = slope * s - 6.720_233_4;
-    slope = slope * s + 2.733_810_4;
-    slope = slope * s - 0.818_191;
+    let mut slope = SRGB_FIT_6 * s + SRGB_FIT_5;
+    slope = slope * s + SRGB_FIT_4;
+    slope = slope * s + SRGB_FIT_3;
+    slope = slope * s + SRGB_FIT_2;
+    slope = slope * s + SRGB_FIT_1;
+    slope = slope * s + SRGB_FIT_0;
     ((x * x) * s) * (1.0 + (s - 1.0) * slope)
 }
 

@@ -19,6 +19,7 @@ struct Traversal {
     world: SlabRay,
     /// The ray in the space of the level that it is in.
     level: SlabRay,
+    /// The ray in the space of the instance that it is in, if any.
     shear: ShearRay,
     direction: Vec3,
     t_min: f32,
@@ -39,12 +40,11 @@ impl Traversal {
         let world = slab_ray(Vec3::from_array(ray.origin), Vec3::from_array(ray.direction));
         // A hierarchy of nothing is absent or zero, and no escape index leads back to node 0.
         let is_empty = scene.tlas_nodes.first().is_none_or(|node| node.escape_index == 0);
-        let direction = Vec3::from_array(ray.direction);
         Self {
             world,
             level: world,
-            shear: shear_ray(world.origin, direction, 1.0),
-            direction,
+            shear: ShearRay::default(),
+            direction: Vec3::from_array(ray.direction),
             t_min: ray.t_min,
             ray_mask,
             index: if is_empty { NONE } else { 0 },

@@ -27,18 +27,20 @@ use super::surface::{Surface, raise, surface_at, unit_or};
 use super::{KernelScene, closest_hit};
 use crate::device::layout::{FrameParams, MaterialFlags, NONE, Ray};
 
-/// The most reflections and refractions of a path, whatever `max_depth` says.
-const MAX_DEPTH: u32 = 8;
+/// The most reflections and refractions of a path, whatever `max_depth` says: [`View::MAX_DEPTH`](crate::View::MAX_DEPTH).
+pub(crate) const MAX_DEPTH: u32 = 8;
 /// The most blended surfaces that a path goes through between two of those.
-const MAX_LAYERS: u32 = 32;
+pub(super) const MAX_LAYERS: u32 = 32;
 /// The most rays of a pixel, shadow rays not counted.
-const MAX_RAYS: u32 = 256;
+pub(super) const MAX_RAYS: u32 = 256;
 /// A ray that carries less cannot change an 8-bit pixel by seeing radiance up to 1: half the smallest sRGB step is
 /// 0.5 / 255 / 12.92 = 1.24 * 2^-13.
-const MIN_THROUGHPUT: f32 = 1.0 / (1 << 13) as f32;
+pub(super) const MIN_THROUGHPUT: f32 = 1.0 / (1 << 13) as f32;
 /// A level of depth leaves at most two rays waiting, one for what lies behind alpha and one of the refracted and the
 /// mirrored; one more is the ray to be traced next.
-const MAX_PENDING: usize = 1 + 2 * MAX_DEPTH as usize;
+///
+/// In WGSL, where memory is dear, 1, 9 or 17 by what the scene needs. Here always 17: what is not needed never waits.
+pub(super) const MAX_PENDING: usize = 1 + 2 * MAX_DEPTH as usize;
 
 /// What a primary ray brings back.
 #[derive(Clone, Copy, Debug)]
