@@ -227,7 +227,7 @@ enum Edit {
     SetGeometry(usize, usize),
     SetTexture(usize, u8),
     SwapCore(usize, usize, usize),
-    EditCore(usize, usize, usize),
+    ChangeCore(usize, usize, usize),
 }
 
 fn edit() -> impl Strategy<Value = Edit> {
@@ -246,7 +246,7 @@ fn edit() -> impl Strategy<Value = Edit> {
         1 => (n.clone(), n.clone()).prop_map(|(a, b)| Edit::SetGeometry(a, b)),
         1 => (n.clone(), any::<u8>()).prop_map(|(a, t)| Edit::SetTexture(a, t)),
         2 => (n.clone(), n.clone(), n.clone()).prop_map(|(a, b, c)| Edit::SwapCore(a, b, c)),
-        3 => (n.clone(), n.clone(), n).prop_map(|(a, b, c)| Edit::EditCore(a, b, c)),
+        3 => (n.clone(), n.clone(), n).prop_map(|(a, b, c)| Edit::ChangeCore(a, b, c)),
     ]
 }
 
@@ -344,7 +344,7 @@ impl World {
                 let core = self.core(geometry, material);
                 let _ = self.scene.set_core(node, core);
             }
-            Edit::EditCore(node, kind, i) => {
+            Edit::ChangeCore(node, kind, i) => {
                 let key = self.scene.core_key(self.node(node)).unwrap();
                 let core = self.any_core(kind, i);
                 let _ = self.scene.edit_core(key, core);
