@@ -31,7 +31,7 @@ pub enum Error {
         attempt: &'static str,
     },
     /// A node's core is of another kind than the call needs.
-    #[error("{node} has a {found} core where a {expected} core is needed")]
+    #[error("{node} has a {found} core where a {expected} core is needed{}", wrong_core_hint(expected))]
     WrongCore {
         /// The node.
         node: Object,
@@ -144,6 +144,10 @@ pub enum Error {
         /// What the encoder said.
         source: image::ImageError,
     },
+}
+
+fn wrong_core_hint(expected: &str) -> &'static str {
+    if expected == "transform" { ": put a transform node above it" } else { "" }
 }
 
 /// [`std::result::Result`] with this crate's [`enum@Error`].

@@ -5,10 +5,8 @@
 //! built, kept and updated behind that call; the frame's [report](FrameReport) says what was done, and why.
 //!
 //! ```
-//! use glam::{DVec3, Vec3};
-//! use ropewalk::{
-//!     Core, DeviceChoice, Geometry, Light, LightKind, Material, Renderer, RendererOptions, Scene, Transform, View,
-//! };
+//! use ropewalk::glam::{DVec3, Vec3};
+//! use ropewalk::{Core, DeviceChoice, Geometry, Light, Material, Renderer, RendererOptions, Scene, Transform, View};
 //!
 //! // A triangle, twice: two nodes share one core.
 //! let mut scene = Scene::new();
@@ -21,7 +19,7 @@
 //! scene.add(left, triangle)?;
 //! scene.add(right, triangle)?;
 //! let sun = scene.add(root, Transform::looking_at(DVec3::new(1.0, 2.0, 3.0), DVec3::ZERO, DVec3::Y))?;
-//! scene.add(sun, Light { kind: LightKind::Directional, color: Vec3::ONE, intensity: 3.0, range: None })?;
+//! scene.add(sun, Light::directional(Vec3::ONE, 3.0))?;
 //!
 //! let mut renderer = Renderer::new(&RendererOptions { device: DeviceChoice::Cpu })?;
 //! let view = View::framing(&scene, 80, 60)?;
@@ -52,6 +50,8 @@ pub mod render;
 pub mod trace;
 
 pub use error::{Error, Result};
+/// The vectors, quaternions and matrices of this interface.
+pub use glam;
 pub use graph::{
     AlphaMode, Camera, Change, Changes, Core, CoreKey, CoreSource, Cursor, Filter, Geometry, GeometryKey, Hierarchy,
     Keep, Light, LightKind, Material, MaterialKey, NodeKey, Object, Sampler, Scene, SceneId, Texture, TextureKey,

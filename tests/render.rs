@@ -78,7 +78,7 @@ fn each_edit_rebuilds_what_depends_on_it_and_says_why() {
     let moved = report(&mut renderer, &mut scene);
     assert_eq!(moved.compile.tlas, TlasUpdate::Rebuilt(RebuildReason::Moved { instances: 1 }));
     assert_eq!(moved.compile.blas_built, 0);
-    assert!(moved.to_string().contains("rebuilt (1 instances moved)"), "{moved}");
+    assert!(moved.to_string().contains("rebuilt (1 moved)"), "{moved}");
 
     scene.set_visible(cubes[4], false).unwrap();
     let hidden = report(&mut renderer, &mut scene);

@@ -108,7 +108,7 @@ fn tell(arguments: &Arguments, report: &Report) -> Result<(), String> {
     if arguments.stats {
         say(&report.to_tables())?;
     } else if !report.not_honoured.is_empty() {
-        eprintln!("not all of the file was honoured: {} (--stats tells all)", report.not_honoured.len());
+        eprintln!("{} features of the file are not honoured (--stats lists them)", report.not_honoured.len());
     }
     match report.frames.as_slice() {
         [first, .., last] => say(&format!("wrote {} to {}", first.output.display(), last.output.display())),

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use glam::{DAffine3, DMat3, DQuat, DVec3, Vec3};
 use ropewalk::gltf::{self, ImportOptions, ImportReport, SceneChoice};
-use ropewalk::{Core, Light, LightKind, NodeKey, Scene, Sky, Transform, View};
+use ropewalk::{Core, Light, NodeKey, Scene, Sky, Transform, View};
 
 use crate::arguments::Arguments;
 use crate::builtin;
@@ -25,7 +25,7 @@ impl Subject {
     pub(crate) fn load(arguments: &Arguments) -> Result<Self, String> {
         let mut scene = Scene::new();
         let (import, sky) = match &arguments.file {
-            Some(file) => (Some(import(file, arguments, &mut scene)?), neutral_sky()),
+            Some(file) => (Some(import(file, arguments, &mut scene)?), Sky::default()),
             None => {
                 builtin::build(&mut scene).map_err(|error| format!("the built-in scene: {error}"))?;
                 (None, builtin::sky())
@@ -85,7 +85,7 @@ fn choose_camera(scene: &Scene, cameras: &[NodeKey], wanted: &str) -> Result<Nod
         let known = names.iter().enumerate().map(|(i, name)| format!("{i} {name:?}")).collect::<Vec<_>>();
         match known.as_slice() {
             [] => format!("there is no camera {wanted:?}: the scene has none"),
-            _ => format!("there is no camera {wanted:?}: the scene has {}", known.join(", ")),
+            _ => format!("there is no camera {wanted:?}; there are: {}", known.join(", ")),
         }
     })
 }
@@ -97,12 +97,6 @@ fn camera_name(scene: &Scene, camera: NodeKey) -> &str {
     if name.is_empty() { parent.and_then(|parent| scene.name(parent).ok()).unwrap_or_default() } else { name }
 }
 
-/// Grey, and so dark that a white surface below it and the key light is not yet white in the image.
-fn neutral_sky() -> Sky {
-    let [zenith, horizon, ground] = [0.22, 0.30, 0.10].map(Vec3::splat);
-    Sky { zenith, horizon, ground, up: Vec3::Y }
-}
-
 /// Where there is no light, adds one from above the left shoulder of the viewer.
 fn light_if_dark(scene: &mut Scene, view: &View) -> ropewalk::Result<()> {
     if !cores_of_kind(scene, |core| matches!(core, Core::Light(_))).is_empty() {
@@ -112,7 +106,7 @@ fn light_if_dark(scene: &mut Scene, view: &View) -> ropewalk::Result<()> {
     let pose = Transform::looking_at(from, DVec3::ZERO, DVec3::Y);
     let key_light = scene.add(scene.root(), pose)?;
     scene.set_name(key_light, "key light")?;
-    scene.add(key_light, Light { kind: LightKind::Directional, color: Vec3::ONE, intensity: 2.6, range: None })?;
+    scene.add(key_light, Light::directional(Vec3::ONE, 2.6))?;
     Ok(())
 }
 

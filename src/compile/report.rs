@@ -44,7 +44,7 @@ impl fmt::Display for TlasUpdate {
             Self::Rebuilt(RebuildReason::NewScene) => f.write_str("rebuilt (new scene)"),
             Self::Rebuilt(RebuildReason::Structure) => f.write_str("rebuilt (structure changed)"),
             Self::Rebuilt(RebuildReason::Rebased) => f.write_str("rebuilt (render origin moved)"),
-            Self::Rebuilt(RebuildReason::Moved { instances }) => write!(f, "rebuilt ({instances} instances moved)"),
+            Self::Rebuilt(RebuildReason::Moved { instances }) => write!(f, "rebuilt ({instances} moved)"),
         }
     }
 }

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use super::plan::{Content, Plan, PlannedCore, PlannedNode};
 use super::{Document, ImportReport, ImportedObject};
 use crate::Result;
-use crate::graph::{Core, CoreKey, CoreSource, GeometryKey, MaterialKey, NodeKey, Scene};
+use crate::graph::{Core, CoreKey, CoreSource, GeometryKey, MaterialKey, NodeKey, Scene, Transform};
 
 impl Plan {
     /// Adds everything below `parent`. O(nodes + geometry, to check it).
@@ -13,7 +13,7 @@ impl Plan {
     /// # Errors
     /// [`Error::StaleKey`](crate::Error::StaleKey) for the parent. Then nothing has been added; everything else was checked by the plan.
     pub(super) fn insert(mut self, document: &Document, scene: &mut Scene, parent: NodeKey) -> Result<ImportReport> {
-        let root = scene.add(parent, Core::Group)?;
+        let root = scene.add(parent, Transform::IDENTITY)?;
         match self.insert_below(document, scene, root) {
             Ok(report) => Ok(report),
             Err(error) => {

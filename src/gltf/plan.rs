@@ -139,7 +139,10 @@ fn choose_scene(document: &Document, options: &ImportOptions) -> Result<Option<u
         Some(SceneChoice::Name(name)) => {
             let found = document.scenes.iter().position(|scene| scene.name.as_ref() == Some(name));
             let names = || document.scenes.iter().filter_map(|s| s.name.as_deref()).collect::<Vec<_>>().join(", ");
-            let missing = || document.fault("/scenes", format!("there is no scene \"{name}\" among: {}", names()));
+            let missing = || {
+                let known = format!("there are {count}, with the names: {}", names());
+                document.fault("/scenes", format!("there is no scene \"{name}\"; {known}"))
+            };
             found.map(Some).ok_or_else(missing)
         }
         None => {

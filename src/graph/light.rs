@@ -15,6 +15,18 @@ pub struct Light {
     pub range: Option<f32>,
 }
 
+impl Light {
+    /// Shines equally in all directions, with this intensity in candela.
+    pub fn point(color: Vec3, intensity: f32) -> Self {
+        Self { kind: LightKind::Point, color, intensity, range: None }
+    }
+
+    /// Infinitely far away, with this illuminance in lux.
+    pub fn directional(color: Vec3, intensity: f32) -> Self {
+        Self { kind: LightKind::Directional, color, intensity, range: None }
+    }
+}
+
 /// The shape of a light.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum LightKind {

@@ -53,6 +53,28 @@ impl Transform {
         Self::Trs { translation: eye, rotation, scale: DVec3::ONE }
     }
 
+    /// The same with this rotation (a unit quaternion); a shear, which only a matrix can have, is lost.
+    #[must_use]
+    pub fn with_rotation(self, rotation: DQuat) -> Self {
+        let (scale, _, translation) = self.to_parts();
+        Self::Trs { translation, rotation, scale }
+    }
+
+    /// The same at this place; a shear, which only a matrix can have, is lost.
+    #[must_use]
+    pub fn with_translation(self, translation: DVec3) -> Self {
+        let (scale, rotation, _) = self.to_parts();
+        Self::Trs { translation, rotation, scale }
+    }
+
+    fn to_parts(self) -> (DVec3, DQuat, DVec3) {
+        match self {
+            Self::Trs { translation, rotation, scale } => (scale, rotation, translation),
+            Self::Matrix(affine) if affine.matrix3.determinant() != 0.0 => affine.to_scale_rotation_translation(),
+            Self::Matrix(affine) => (DVec3::ZERO, DQuat::IDENTITY, affine.translation),
+        }
+    }
+
     /// The matrix `parent_from_local`.
     pub fn to_affine(&self) -> DAffine3 {
         match *self {
@@ -77,5 +99,24 @@ impl Transform {
 impl From<DAffine3> for Transform {
     fn from(affine: DAffine3) -> Self {
         Self::Matrix(affine)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_part_is_replaced_and_the_others_stay() {
+        let (turn, other) = (DQuat::from_rotation_y(0.5), DQuat::from_rotation_x(1.0));
+        let parts = |rotation| Transform::Trs { translation: DVec3::X, rotation, scale: DVec3::new(1.0, 2.0, -3.0) };
+        assert_eq!(parts(other).with_rotation(turn), parts(turn));
+        let matrix = Transform::Matrix(parts(other).to_affine()).with_rotation(turn).to_affine();
+        // A mirrored matrix may give its sign to another axis: what the transform keeps is its handedness and its place.
+        assert!(matrix.matrix3.determinant() < 0.0);
+        assert_eq!(matrix.translation, DVec3::X);
+        assert_eq!(parts(turn).with_translation(DVec3::Y).to_affine().translation, DVec3::Y);
+        let flat = Transform::Matrix(DAffine3::from_scale(DVec3::ZERO));
+        assert!(flat.with_rotation(turn).is_finite());
     }
 }

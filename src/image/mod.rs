@@ -38,6 +38,16 @@ pub struct Aovs {
 }
 
 impl Image {
+    /// The node seen in a pixel, counted from the upper left; `None` where nothing was met, outside the image, and without
+    /// [`aovs`](Self::aovs).
+    pub fn node_at(&self, x: u32, y: u32) -> Option<NodeKey> {
+        if x >= self.width || y >= self.height {
+            return None;
+        }
+        let node = self.aovs.as_ref()?.node[y as usize * self.width as usize + x as usize];
+        (!slotmap::Key::is_null(&node)).then_some(node)
+    }
+
     /// What a display shows: each pixel tone mapped by [`neutral`] and sRGB encoded, 8 bits a channel, rounded to nearest.
     /// Alpha is linear. A number that is not finite does no harm: NaN and negative numbers are 0, infinity is white. O(pixels).
     pub fn to_rgba8(&self) -> Vec<[u8; 4]> {

@@ -172,14 +172,10 @@ pub struct Sky {
 }
 
 impl Default for Sky {
-    /// Neutral, brighter above than below.
+    /// Grey, and so dark that a white surface below it and a light of 2.6 lux is not yet white in the image.
     fn default() -> Self {
-        Self {
-            zenith: Vec3::new(0.45, 0.55, 0.75),
-            horizon: Vec3::new(0.85, 0.87, 0.9),
-            ground: Vec3::new(0.25, 0.24, 0.22),
-            up: Vec3::Y,
-        }
+        let [zenith, horizon, ground] = [0.22, 0.30, 0.10].map(Vec3::splat);
+        Self { zenith, horizon, ground, up: Vec3::Y }
     }
 }
 

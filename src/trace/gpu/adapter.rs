@@ -124,7 +124,8 @@ fn open_adapter(adapter: &wgpu::Adapter, adapters: Adapters) -> Result<Context> 
     let info = adapter.get_info();
     let refuse = |why: String| Error::NoGpu { reason: format!("{}: {why}", describe(&info)) };
     if adapters == Adapters::Hardware && info.device_type == DeviceType::Cpu {
-        return Err(refuse("a software renderer, slower than the cpu executor".into()));
+        let reason = format!("{} ({:?}) is a software renderer", info.name, info.backend);
+        return Err(Error::NoGpu { reason });
     }
     if !adapter.get_downlevel_capabilities().flags.contains(DownlevelFlags::COMPUTE_SHADERS) {
         return Err(refuse("has no compute shaders".into()));
