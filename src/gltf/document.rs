@@ -143,15 +143,25 @@ fn add_empty_lists(root: &mut Value) {
     }
 }
 
-/// Only the major version matters: minor versions are backward compatible.
+/// Only the major version matters, for minor versions are backward compatible; unless the file says which one it needs.
 fn check_version(root: &Value, path: &Path) -> Result<()> {
     let Some(Value::String(version)) = root.pointer("/asset/version") else {
         return Err(fault(path, "/asset", "there is no version: this is not a glTF 2.0 file"));
     };
-    match version.split_once('.') {
-        Some(("2", minor)) if minor.parse::<u32>().is_ok() => Ok(()),
-        _ => Err(fault(path, "/asset/version", format!("is {version:?}; only glTF 2 is known"))),
+    if !matches!(parse_version(version), Some((2, _))) {
+        return Err(fault(path, "/asset/version", format!("is {version:?}; only glTF 2 is known")));
     }
+    match root.pointer("/asset/minVersion") {
+        None => Ok(()),
+        Some(least) if least.as_str().and_then(parse_version).is_some_and(|least| least <= (2, 0)) => Ok(()),
+        Some(least) => Err(fault(path, "/asset/minVersion", format!("is {least}; glTF 2.0 is the newest known"))),
+    }
+}
+
+/// The major and the minor number of a version: "2.0".
+fn parse_version(version: &str) -> Option<(u32, u32)> {
+    let (major, minor) = version.split_once('.')?;
+    Some((major.parse().ok()?, minor.parse().ok()?))
 }
 
 fn check_required_extensions(root: &Value, path: &Path) -> Result<()> {
@@ -244,6 +254,31 @@ mod tests {
         let Transform::Matrix(matrix) = transform(&node).unwrap() else { panic!("not a matrix") };
         assert_eq!(matrix.transform_point3(DVec3::new(1.0, 0.0, 0.0)), DVec3::new(11.0, 13.0, 15.0));
         assert_eq!(matrix.transform_point3(DVec3::new(0.0, 1.0, 0.0)), DVec3::new(14.0, 16.0, 18.0));
+    }
+
+    #[test]
+    fn versions_that_are_known() {
+        let check = |asset| check_version(&json!({ "asset": asset }), Path::new("a.gltf")).map_err(|e| e.to_string());
+        for asset in [
+            json!({"version": "2.0"}),
+            json!({"version": "2.1"}),
+            json!({"version": "2.0", "minVersion": "2.0"}),
+            json!({"version": "2.7", "minVersion": "2.0"}),
+        ] {
+            assert_eq!(check(asset.clone()), Ok(()), "{asset}");
+        }
+        for (asset, object) in [
+            (json!({}), "/asset:"),
+            (json!({"version": "1.0"}), "/asset/version"),
+            (json!({"version": "2"}), "/asset/version"),
+            (json!({"version": "2.1", "minVersion": "2.1"}), "/asset/minVersion"),
+            (json!({"version": "2.0", "minVersion": "3.0"}), "/asset/minVersion"),
+            (json!({"version": "2.0", "minVersion": "two"}), "/asset/minVersion"),
+            (json!({"version": "2.0", "minVersion": 2}), "/asset/minVersion"),
+        ] {
+            let error = check(asset.clone()).expect_err(&asset.to_string());
+            assert!(error.contains(object), "{asset}: {error}");
+        }
     }
 
     #[test]

@@ -106,7 +106,7 @@ impl Recipe {
         self.read_indices(document, accessors).map(drop)
     }
 
-    /// Charges the budget for everything that [`make`](Self::make) allocates.
+    /// Charges the budget for everything that [`make`](Self::make) allocates, as if it held all of it at once.
     pub(super) fn charge(
         &self,
         document: &Document,
@@ -116,17 +116,25 @@ impl Recipe {
     ) -> Result<()> {
         let vertex_count = accessors.get(self.positions).count;
         let index_count = self.index_count(accessors);
-        let streams = [self.normals, self.tex_coords[0], self.tex_coords[1], self.colors];
-        let vertex_size =
-            size_of::<Vec3>() + size_of::<Vec4>() * streams.iter().flatten().count() + self.pose.bytes_per_vertex();
         let triangle_size = 2 * size_of::<[u32; 3]>();
         let object = || pointer.to_owned();
 
         budget.charge(index_count, size_of::<u32>(), document, object)?;
         budget.charge(self.triangle_count(accessors), triangle_size, document, object)?;
-        budget.charge(vertex_count.min(index_count), vertex_size, document, object)?;
+        budget.charge(vertex_count.min(index_count), self.bytes_per_vertex(), document, object)?;
         // The bits and ranks of `compact`: 12 bytes for 64 vertices.
         budget.charge(vertex_count / 4, 1, document, object)
+    }
+
+    /// What [`make`](Self::make) allocates for a used vertex, at most. Every stream is there twice: as read, and as kept.
+    fn bytes_per_vertex(&self) -> usize {
+        let selection = size_of::<u32>();
+        let positions = 2 * size_of::<Vec3>();
+        let normals = self.normals.map_or(0, |_| 2 * size_of::<Vec3>() + normals::BYTES_PER_NORMAL);
+        let tex_coords = self.tex_coords.iter().flatten().count() * 2 * size_of::<Vec2>();
+        // RGB is read before it becomes RGBA.
+        let colors = self.colors.map_or(0, |_| size_of::<Vec3>() + 2 * size_of::<Vec4>());
+        selection + positions + normals + tex_coords + colors + self.pose.bytes_per_vertex()
     }
 
     /// Reads the accessors and makes the geometry. `palettes` are the joint matrices that the pose refers to. O(indices).

@@ -5,28 +5,46 @@ use std::collections::BTreeMap;
 use super::plan::{Content, Plan, PlannedCore, PlannedNode};
 use super::{Document, ImportReport, ImportedObject};
 use crate::Result;
-use crate::graph::{Core, CoreKey, CoreSource, GeometryKey, MaterialKey, NodeKey, Scene, Transform};
+use crate::graph::{Core, CoreKey, CoreSource, GeometryKey, MaterialKey, NodeKey, Scene, TextureKey, Transform};
+
+/// The assets that are in the scene so far, in the order of the plan.
+#[derive(Default)]
+struct Added {
+    textures: Vec<TextureKey>,
+    materials: Vec<MaterialKey>,
+    geometries: Vec<GeometryKey>,
+}
 
 impl Plan {
     /// Adds everything below `parent`. O(nodes + geometry, to check it).
     ///
     /// # Errors
-    /// [`Error::StaleKey`](crate::Error::StaleKey) for the parent. Then nothing has been added; everything else was checked by the plan.
+    /// [`Error::StaleKey`](crate::Error::StaleKey) for the parent; everything else was checked by the plan. Whatever the error, all that
+    /// was added is removed again.
     pub(super) fn insert(mut self, document: &Document, scene: &mut Scene, parent: NodeKey) -> Result<ImportReport> {
         let root = scene.add(parent, Transform::IDENTITY)?;
-        match self.insert_below(document, scene, root) {
+        let mut added = Added::default();
+        match self.insert_below(document, scene, root, &mut added) {
             Ok(report) => Ok(report),
             Err(error) => {
                 scene.remove(root)?;
+                // The assets that no node of the import came to use.
+                scene.remove_unused_among(&added.geometries, &added.materials, &added.textures);
                 Err(error)
             }
         }
     }
 
-    fn insert_below(&mut self, document: &Document, scene: &mut Scene, root: NodeKey) -> Result<ImportReport> {
+    fn insert_below(
+        &mut self,
+        document: &Document,
+        scene: &mut Scene,
+        root: NodeKey,
+        added: &mut Added,
+    ) -> Result<ImportReport> {
         scene.set_name(root, std::mem::take(&mut self.name))?;
         let mut report = self.empty_report(document, root);
-        let (geometries, materials) = self.insert_assets(scene)?;
+        self.insert_assets(scene, added)?;
 
         let mut cores: Vec<Option<CoreKey>> = vec![None; self.cores.len()];
         let mut keys = Vec::with_capacity(self.nodes.len());
@@ -38,7 +56,8 @@ impl Plan {
                     (None, PlannedCore::Camera(camera, _)) => camera.into(),
                     (None, PlannedCore::Light(light, _)) => light.into(),
                     (None, PlannedCore::Geometry { geometry, material }) => {
-                        Core::Geometry { geometry: geometries[geometry], material: materials[material] }.into()
+                        Core::Geometry { geometry: added.geometries[geometry], material: added.materials[material] }
+                            .into()
                     }
                 },
             };
@@ -56,12 +75,18 @@ impl Plan {
         Ok(report)
     }
 
-    fn insert_assets(&mut self, scene: &mut Scene) -> Result<(Vec<GeometryKey>, Vec<MaterialKey>)> {
-        let textures = self.textures.drain(..).map(|texture| scene.add_texture(texture)).collect::<Result<Vec<_>>>()?;
-        let materials =
-            self.materials.drain(..).map(|m| scene.add_material(m.finish(&textures))).collect::<Result<_>>()?;
-        let geometries = self.geometries.drain(..).map(|g| scene.add_geometry(g)).collect::<Result<_>>()?;
-        Ok((geometries, materials))
+    /// Notes each asset as it is added, so that those are known if a later one fails.
+    fn insert_assets(&mut self, scene: &mut Scene, added: &mut Added) -> Result<()> {
+        for texture in self.textures.drain(..) {
+            added.textures.push(scene.add_texture(texture)?);
+        }
+        for material in self.materials.drain(..) {
+            added.materials.push(scene.add_material(material.finish(&added.textures))?);
+        }
+        for geometry in self.geometries.drain(..) {
+            added.geometries.push(scene.add_geometry(geometry)?);
+        }
+        Ok(())
     }
 
     fn empty_report(&mut self, document: &Document, root: NodeKey) -> ImportReport {
@@ -99,5 +124,63 @@ impl Plan {
         let parent_name = || node.parent.map(|parent| self.nodes[parent].name.clone()).unwrap_or_default();
         let name = if node.name.is_empty() { parent_name() } else { node.name.clone() };
         list.push(ImportedObject { name, index, node: key });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use glam::Vec3;
+
+    use super::super::{Buffers, ImportOptions};
+    use super::*;
+    use crate::graph::{Camera, Geometry, Texture};
+
+    /// A step of the insertion, and what makes it fail.
+    type Break = (&'static str, fn(&mut Plan));
+
+    /// One triangle (of zeros) with a texture.
+    const JSON: &[u8] = br#"{
+        "asset": {"version": "2.0"}, "nodes": [{"mesh": 0}], "textures": [{}],
+        "accessors": [{"componentType": 5126, "type": "VEC3", "count": 3}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "material": 0}]}],
+        "materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}]
+    }"#;
+
+    fn triangle(corner: Vec3) -> Geometry {
+        Geometry::new(vec![corner, Vec3::X, Vec3::Y], vec![[0, 1, 2]])
+    }
+
+    /// No file makes such plans, so they are broken here: each fails at another step.
+    #[test]
+    fn whatever_fails_nothing_stays_and_the_caller_s_unused_assets_do() {
+        let document = Document::parse(JSON, Path::new("file.gltf")).unwrap();
+        let buffers = Buffers::load(&document, None).unwrap();
+        let bad_texture = |plan: &mut Plan| plan.textures.push(Texture { width: 1, height: 1, texels: [].into() });
+        let bad_geometry = |plan: &mut Plan| plan.geometries.push(triangle(Vec3::NAN));
+        let bad_node = |plan: &mut Plan| {
+            plan.geometries.push(triangle(Vec3::ZERO));
+            plan.cores.push(PlannedCore::Camera(Camera::Perspective { y_fov: -1.0, aspect: None }, 0));
+            let content = Content::Core(plan.cores.len() - 1);
+            plan.nodes.push(PlannedNode { parent: None, name: String::new(), content, visible: true, file_node: None });
+        };
+        let counts =
+            |s: &Scene| (s.node_count(), s.core_count(), s.geometry_count(), s.material_count(), s.texture_count());
+
+        let mut scene = Scene::new();
+        let own = scene.add_geometry(triangle(Vec3::Z)).unwrap();
+        let before = counts(&scene);
+        let breaks: [Break; 3] = [("texture", bad_texture), ("geometry", bad_geometry), ("node", bad_node)];
+        for (step, break_plan) in breaks {
+            let mut plan = Plan::new(&document, &buffers, &ImportOptions::default(), 0).unwrap();
+            assert_eq!((plan.geometries.len(), plan.materials.len(), plan.textures.len()), (1, 1, 1));
+            break_plan(&mut plan);
+            let root = scene.root();
+            assert!(plan.insert(&document, &mut scene, root).is_err(), "{step}");
+            assert_eq!(counts(&scene), before, "{step}");
+            scene.validate().unwrap();
+        }
+        assert!(scene.geometry(own).is_ok());
     }
 }

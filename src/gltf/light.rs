@@ -45,6 +45,20 @@ pub(super) fn convert(document: &Document, index: usize, notes: &mut Notes) -> R
         },
         _ => None,
     };
+    let brightest = color.max_element();
+    let intensity = if (brightest * intensity).is_finite() {
+        intensity
+    } else {
+        // Rounded down, so that the product is not rounded up to infinity.
+        let largest = (f32::MAX / brightest).next_down();
+        notes.add(
+            document,
+            "intensity",
+            pointer,
+            format!("is {intensity:e}, times the colour beyond the range of numbers: {largest:e} is used"),
+        );
+        largest
+    };
     Ok(Some(Light { kind, color, intensity, range }))
 }
 

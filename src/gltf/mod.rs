@@ -11,8 +11,9 @@
 //!
 //! # Malformed and hostile files
 //!
-//! No file makes an import panic, hang, overflow the stack, or allocate more than its size justifies (256 times the size, and a few MiB; images
-//! 64 times, and 256 MiB). Whatever breaks the tree, an index, a length or a number is an error that names the object by its JSON
+//! No file makes an import panic, hang, overflow the stack, or allocate more than its size justifies: for geometry and nodes 256 times the
+//! size, and 16 MiB; for images 64 times, and 256 MiB, and up to three times that while they are decoded; for the parsed JSON at worst
+//! some hundred times its text. Whatever breaks the tree, an index, a length or a number is an error that names the object by its JSON
 //! pointer. What does no harm is put right and reported: a factor of 1.2 becomes 1, an image that does not decode a
 //! magenta checkerboard. What is not guaranteed: that a file which imports is valid. Use the glTF validator for that.
 

@@ -2,6 +2,9 @@
 
 use glam::{DVec3, Vec3};
 
+/// What [`normalize`] allocates for a normal, at most.
+pub(super) const BYTES_PER_NORMAL: usize = size_of::<DVec3>();
+
 /// Scales every normal to length one. Where a normal is zero (exporters write such at collapsed corners) it becomes the area-weighted mean of the
 /// adjacent triangles' normals, or +Z where these have no area either. O(vertices + triangles).
 pub(super) fn normalize(normals: &mut [Vec3], positions: &[Vec3], triangles: &[[u32; 3]]) {

@@ -15,9 +15,11 @@ use crate::graph::Texture;
 
 /// The largest width and height that are decoded.
 const MAX_SIDE: u32 = 1 << 14;
-/// Bytes of texels allowed to any file, and for each byte of it: an 8192 x 8192 image of one colour takes a few hundred kB.
+/// Bytes of texels, as they are kept, that are allowed to any file, and for each byte of it: an 8192 x 8192 image of one colour takes a few hundred kB.
 const BASE_TEXEL_BYTES: u64 = 256 << 20;
 const TEXEL_BYTES_PER_BYTE: u64 = 64;
+/// Bytes that an image's metadata may unpack to: a colour profile has some kB, seldom a few MB.
+const METADATA_BYTES: u64 = 16 << 20;
 /// The largest image file that is read.
 const MAX_FILE_BYTES: u64 = 1 << 30;
 
@@ -129,7 +131,7 @@ fn read<'b>(document: &Document, buffers: &'b Buffers, image: usize) -> Result<R
 }
 
 fn charge(bytes: &[u8], budget: &mut u64) -> Result<(), String> {
-    let (width, height) = reader(bytes)?.into_dimensions().map_err(|e| e.to_string())?;
+    let (width, height) = reader(bytes, METADATA_BYTES)?.into_dimensions().map_err(|e| e.to_string())?;
     if width > MAX_SIDE || height > MAX_SIDE {
         return Err(format!("is {width} x {height} texels, more than {MAX_SIDE} on a side"));
     }
@@ -140,26 +142,27 @@ fn charge(bytes: &[u8], budget: &mut u64) -> Result<(), String> {
     Ok(())
 }
 
+/// Takes up to three times what it returns: an image of 16 bits a channel is there next to the one of 8 bits.
 fn decode(bytes: &[u8]) -> Result<Texture, String> {
-    let mut limits = Limits::default();
-    limits.max_image_width = Some(MAX_SIDE);
-    limits.max_image_height = Some(MAX_SIDE);
-    // The largest image there may be, at 16 bits a channel.
-    limits.max_alloc = Some(u64::from(MAX_SIDE) * u64::from(MAX_SIDE) * size_of::<[u16; 4]>() as u64);
-    let mut reader = reader(bytes)?;
-    reader.limits(limits);
-    let image = reader.decode().map_err(|e| e.to_string())?.into_rgba8();
+    let (width, height) = reader(bytes, METADATA_BYTES)?.into_dimensions().map_err(|e| e.to_string())?;
+    let largest = u64::from(width) * u64::from(height) * size_of::<[u16; 4]>() as u64;
+    let image = reader(bytes, METADATA_BYTES + largest)?.decode().map_err(|e| e.to_string())?.into_rgba8();
     let (width, height) = image.dimensions();
     let (texels, _) = image.as_raw().as_chunks::<4>();
     Ok(Texture { width, height, texels: texels.into() })
 }
 
-/// The format is told by the first bytes, not by what the file says: exporters get that wrong.
-fn reader(bytes: &[u8]) -> Result<ImageReader<Cursor<&[u8]>>, String> {
+/// The format is told by the first bytes, not by what the file says: exporters get that wrong. `max_alloc` is the most that the decoder
+/// may take.
+fn reader(bytes: &[u8], max_alloc: u64) -> Result<ImageReader<Cursor<&[u8]>>, String> {
     let Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg)) = ::image::guess_format(bytes) else {
         return Err("is neither PNG nor JPEG".into());
     };
-    Ok(ImageReader::with_format(Cursor::new(bytes), format))
+    let mut limits = Limits::default();
+    limits.max_alloc = Some(max_alloc);
+    let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
+    reader.limits(limits);
+    Ok(reader)
 }
 
 /// Cannot be missed, and cannot be meant.

@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 use std::fs::File;
 use std::io::{self, Read};
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 use base64::Engine;
 use base64::alphabet;
@@ -30,7 +30,7 @@ pub(super) enum Location<'u> {
 /// Where `uri` leads to, or why nowhere.
 ///
 /// A relative URI is a file, looked for from the folder of the glTF file `base`; `..` may lead out of it, as in other importers.
-/// Absolute paths and every scheme but `data:` are refused: an import reads no network, and names no place on the
+/// Absolute paths, percent-encoded or not, and every scheme but `data:` are refused: an import reads no network, and names no place on the
 /// machine that its file does not lead to step by step.
 pub(super) fn locate<'u>(uri: &'u str, base: &Path) -> Result<Location<'u>, String> {
     if let Some(data) = strip_data_scheme(uri) {
@@ -39,11 +39,12 @@ pub(super) fn locate<'u>(uri: &'u str, base: &Path) -> Result<Location<'u>, Stri
     if let Some(scheme) = scheme(uri) {
         return Err(format!("the URI scheme \"{scheme}:\" is not supported: only data: and relative files are"));
     }
-    if uri.starts_with(['/', '\\']) {
-        return Err(format!("{uri} is an absolute path: only paths relative to the glTF file are read"));
-    }
     let folder = base.parent().unwrap_or(Path::new(""));
     let decoded = percent_decode_str(uri).decode_utf8().unwrap_or(Cow::Borrowed(uri));
+    // Both are joined to the folder below, which an absolute path would replace.
+    for path in [uri, &decoded] {
+        check_relative(path)?;
+    }
     let path = folder.join(decoded.as_ref());
     let canonical = match path.canonicalize() {
         // A name with a literal "%20" in it is not valid as a URI, but is written all the same.
@@ -93,6 +94,20 @@ fn scheme(uri: &str) -> Option<&str> {
     is_scheme.then_some(scheme)
 }
 
+/// Refuses absolute paths, those with a drive or a share, and those that no system takes. On every system alike: what one calls absolute
+/// is no name to rely on elsewhere.
+fn check_relative(path: &str) -> Result<(), String> {
+    let is_anchor = |part| matches!(part, Component::Prefix(_) | Component::RootDir);
+    let has_drive = matches!(path.as_bytes(), [letter, b':', ..] if letter.is_ascii_alphabetic());
+    if path.starts_with(['/', '\\']) || has_drive || Path::new(path).components().any(is_anchor) {
+        return Err(format!("{path} is an absolute path: only paths relative to the glTF file are read"));
+    }
+    if path.contains('\0') {
+        return Err("the URI has a NUL byte in it, which no file name has".into());
+    }
+    Ok(())
+}
+
 /// RFC 2397: `[mime type][;base64],payload`. The MIME type is ignored; images are told by their first bytes.
 fn decode_data(data: &str) -> Result<Vec<u8>, String> {
     let (kind, payload) = data.split_once(',').ok_or("the data URI has no comma, hence no data")?;
@@ -133,6 +148,25 @@ mod tests {
             let cause = read_here(uri).unwrap_err();
             assert!(cause.contains("not supported") || cause.contains("absolute"), "{uri}: {cause}");
         }
+    }
+
+    #[test]
+    fn an_encoded_absolute_path_is_refused_too() {
+        let folder = tempfile::tempdir().unwrap();
+        let base = folder.path().join("sub").join("scene.gltf");
+        std::fs::create_dir(folder.path().join("sub")).unwrap();
+        let outside = folder.path().join("outside.bin");
+        std::fs::write(&outside, "").unwrap();
+        // A file that is there, so that only a refusal keeps it from being read.
+        let path = outside.to_str().unwrap();
+        let encoded = path.replace('/', "%2F").replace('\\', "%5C").replace(':', "%3A");
+        let first_encoded = format!("%{:02X}{}", path.as_bytes()[0], &path[1..]);
+        for uri in [path, &encoded, &first_encoded, "%2Fetc%2Fpasswd", "C%3A\\a.bin", "%43:a.bin", "%5C%5Chost%5Ca"] {
+            let cause = locate(uri, &base).unwrap_err();
+            assert!(cause.contains("not supported") || cause.contains("absolute"), "{uri}: {cause}");
+        }
+        assert!(locate("a%00.bin", &base).unwrap_err().contains("NUL"));
+        assert!(locate("../outside.bin", &base).is_ok());
     }
 
     #[test]

@@ -181,14 +181,34 @@ impl Scene {
         for key in keys_where(&self.cores, |slot| slot.user_count == 0) {
             self.release_core_if_unused(key);
         }
-        for key in keys_where(&self.geometries, |used| used.user_count == 0) {
-            self.free_geometry(key);
+        let geometries = keys_where(&self.geometries, |used| used.user_count == 0);
+        let materials = keys_where(&self.materials, |used| used.user_count == 0);
+        let textures = keys_where(&self.textures, |used| used.user_count == 0);
+        self.remove_unused_among(&geometries, &materials, &textures);
+    }
+
+    /// Frees those of these assets that nothing uses; keys of some that are gone are passed over. O(keys).
+    pub(crate) fn remove_unused_among(
+        &mut self,
+        geometries: &[GeometryKey],
+        materials: &[MaterialKey],
+        textures: &[TextureKey],
+    ) {
+        for &key in geometries {
+            if is_unused(&self.geometries, key) {
+                self.free_geometry(key);
+            }
         }
-        for key in keys_where(&self.materials, |used| used.user_count == 0) {
-            self.free_material(key);
+        // Users first: freeing a material may free its textures.
+        for &key in materials {
+            if is_unused(&self.materials, key) {
+                self.free_material(key);
+            }
         }
-        for key in keys_where(&self.textures, |used| used.user_count == 0) {
-            self.free_texture(key);
+        for &key in textures {
+            if is_unused(&self.textures, key) {
+                self.free_texture(key);
+            }
         }
     }
 
@@ -258,6 +278,10 @@ impl Scene {
 fn release<T>(used: &mut Used<T>) -> bool {
     used.user_count -= 1;
     used.user_count == 0
+}
+
+fn is_unused<K: slotmap::Key, T>(assets: &slotmap::SlotMap<K, Used<T>>, key: K) -> bool {
+    assets.get(key).is_some_and(|used| used.user_count == 0)
 }
 
 fn keys_where<K: slotmap::Key, V>(map: &slotmap::SlotMap<K, V>, condition: impl Fn(&V) -> bool) -> Vec<K> {

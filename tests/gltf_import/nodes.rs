@@ -177,6 +177,26 @@ fn lights() {
 }
 
 #[test]
+fn the_product_of_a_light_s_color_and_intensity_is_finite() {
+    let mut fixture = Fixture::new();
+    for (color, intensity) in [([3.0, 1.0, 0.0], 3e38_f32), ([3e38, 0.5, 1.0], 1e30), ([1.0, 7.0, 1e-3], f32::MAX)] {
+        let light = json!({"type": "point", "color": color, "intensity": intensity});
+        fixture.json["extensions"] = json!({"KHR_lights_punctual": {"lights": [light]}});
+        fixture.json["extensionsUsed"] = json!(["KHR_lights_punctual"]);
+        fixture.json["nodes"] = json!([{"extensions": {"KHR_lights_punctual": {"light": 0}}}]);
+        let imported = fixture.import();
+        let Core::Light(light) = imported.scene.core(imported.report.lights[0].node).unwrap() else { panic!() };
+        assert_eq!(light.color, Vec3::from(color));
+        let product = (light.color * light.intensity).max_element();
+        assert!(product.is_finite(), "{light:?}");
+        // And as bright as numbers allow.
+        assert!(product > f32::MAX * 0.999_999, "{light:?}");
+        assert_eq!(imported.notes().len(), 1, "{:?}", imported.notes());
+        assert!(imported.notes()[0].contains("intensity"), "{:?}", imported.notes());
+    }
+}
+
+#[test]
 fn hidden_nodes_are_hidden() {
     let mut fixture = Fixture::triangle();
     fixture.json["nodes"][0]["extensions"] = json!({"KHR_node_visibility": {"visible": false}});
