@@ -80,6 +80,30 @@ fn a_lost_device_of_the_application_is_too() {
     lose(GpuTracer::from_device(device, queue).unwrap());
 }
 
+#[test]
+fn an_error_that_nobody_caught_fails_one_call_and_no_more() {
+    let Some(mut tracer) = tracer() else { return };
+    let mut random = Random::new(4);
+    let mut arrays = soup(2, &mut random);
+    let (rays, request) = (rays(10, &mut random), crate::frame::request(8, 8, false));
+    tracer.upload(&mut arrays).unwrap();
+    let mistake = wgpu::BufferDescriptor {
+        label: Some("the application's mistake"),
+        size: 4,
+        usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::MAP_WRITE,
+        mapped_at_creation: false,
+    };
+    drop(tracer.wgpu_device().create_buffer(&mistake));
+    let error = tracer.closest_hits(&arrays, &rays, 1).unwrap_err();
+    assert!(matches!(&error, Error::Gpu { message, .. } if message.contains("the application's mistake")), "{error}");
+    assert_eq!(tracer.closest_hits(&arrays, &rays, 1).unwrap().len(), rays.len());
+
+    drop(tracer.wgpu_device().create_buffer(&mistake));
+    assert!(tracer.render(&arrays, &request).is_err());
+    tracer.render(&arrays, &request).unwrap();
+    assert_eq!(tracer.read().unwrap().color.len(), 64);
+}
+
 fn lose(mut tracer: GpuTracer) {
     let mut random = Random::new(3);
     let mut arrays = soup(2, &mut random);
