@@ -29,7 +29,7 @@ pub trait Tracer {
     /// What runs the kernel.
     fn device(&self) -> &DeviceInfo;
 
-    /// Brings the executor's copy of the arrays up to date and returns the bytes copied.
+    /// Brings the executor's copy of the arrays up to date and returns how many bytes had changed.
     fn upload(&mut self, arrays: &mut DeviceArrays) -> Result<u64>;
 
     /// Traces a frame, which stays where it was made until [`read`](Self::read).
