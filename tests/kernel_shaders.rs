@@ -108,7 +108,7 @@ fn rust_layouts() -> BTreeMap<String, Layout> {
             _pad
         }),
         layout_of!(Ray { origin, t_min, direction, t_max }),
-        layout_of!(RayBatch { first, count, ray_mask, _pad }),
+        layout_of!(RayBatch { count, ray_mask, _pad }),
         layout_of!(Hit { t, u, v, instance, primitive, triangle, back, _pad }),
     ])
 }

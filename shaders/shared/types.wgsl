@@ -140,10 +140,9 @@ struct Hit {
 }
 
 struct RayBatch {
-    first: u32,
     count: u32,
     ray_mask: u32,
-    _pad: u32,
+    _pad: vec2<u32>,
 }
 
 @group(0) @binding(0) var<storage, read> tlas_nodes: array<Node>;

@@ -336,16 +336,14 @@ impl Hit {
         Self { t: f32::MAX, u: 0.0, v: 0.0, instance: NONE, primitive: NONE, triangle: NONE, back: 0, _pad: 0 };
 }
 
-/// Which rays of a batch one dispatch traces: a uniform buffer. 16 bytes.
+/// How the rays of a batch are traced: a uniform buffer. 16 bytes.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
 pub struct RayBatch {
-    /// Index of the first ray: long batches take several dispatches.
-    pub first: u32,
     /// How many rays.
     pub count: u32,
     /// Instances whose mask shares no bit with this are not hit.
     pub ray_mask: u32,
     /// Zero.
-    pub _pad: u32,
+    pub _pad: [u32; 2],
 }

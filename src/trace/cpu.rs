@@ -14,7 +14,7 @@ use crate::image::Image;
 #[derive(Debug)]
 pub struct Cpu {
     device: DeviceInfo,
-    /// Tile after tile, each row by row; tiles at the right and lower edges are full, their pixels outside left out.
+    /// Tile after tile, each row by row; tiles at the right and lower edges have no pixels beyond.
     pixels: Vec<Pixel>,
     width: u32,
     height: u32,
@@ -23,7 +23,6 @@ pub struct Cpu {
 
 /// Pixels along a tile's side: rays of a tile visit much the same nodes, and there are enough tiles to keep all cores busy.
 const TILE: u32 = 16;
-const TILE_PIXELS: usize = (TILE * TILE) as usize;
 /// Rays that one task traces at least.
 const RAYS_A_TASK: usize = 256;
 
@@ -48,13 +47,18 @@ impl Tracer for Cpu {
     fn render(&mut self, arrays: &DeviceArrays, request: &FrameRequest) -> Result<()> {
         let scene = KernelScene::new(arrays);
         let params = &request.params;
-        Planes::check_size(params.width, params.height)?;
+        let count = Planes::check_size(params.width, params.height)?;
         (self.width, self.height, self.aovs) = (params.width, params.height, request.aovs);
-
-        let tiles = tiles_a_row(self.width) as usize * self.height.div_ceil(TILE) as usize;
-        self.pixels.resize(tiles * TILE_PIXELS, Pixel::NOTHING);
-        self.pixels.par_chunks_exact_mut(TILE_PIXELS).enumerate().for_each(|(tile, pixels)| {
-            render_tile(&scene, params, tile as u32, pixels);
+        resize(&mut self.pixels, count);
+        if count == 0 {
+            return Ok(());
+        }
+        let rows_of_tiles = self.pixels.par_chunks_mut(TILE as usize * self.width as usize);
+        rows_of_tiles.zip((0..self.height).into_par_iter().step_by(TILE as usize)).for_each(|(row, top)| {
+            let tiles = row.par_chunks_mut((TILE * rows_of_tile(self.height, top)) as usize);
+            tiles.zip((0..self.width).into_par_iter().step_by(TILE as usize)).for_each(|(pixels, left)| {
+                render_tile(&scene, params, [left, top], pixels);
+            });
         });
         Ok(())
     }
@@ -63,7 +67,7 @@ impl Tracer for Cpu {
         let mut frame = Planes::new(self.width, self.height, self.aovs)?;
         for y in 0..self.height {
             for x in 0..self.width {
-                frame.push(&self.pixels[pixel_index(self.width, x, y)]);
+                frame.push(&self.pixels[pixel_index([self.width, self.height], x, y)]);
             }
         }
         Ok(frame.into_image())
@@ -80,21 +84,73 @@ impl Tracer for Cpu {
     }
 }
 
-fn tiles_a_row(width: u32) -> u32 {
-    width.div_ceil(TILE)
+/// Makes room for that many pixels, and gives memory back after a much larger frame.
+fn resize(pixels: &mut Vec<Pixel>, count: usize) {
+    pixels.resize(count, Pixel::NOTHING);
+    if pixels.capacity() / 4 > count {
+        pixels.shrink_to_fit();
+    }
 }
 
-fn pixel_index(width: u32, x: u32, y: u32) -> usize {
-    let tile = (y / TILE) as usize * tiles_a_row(width) as usize + (x / TILE) as usize;
-    tile * TILE_PIXELS + (y % TILE * TILE + x % TILE) as usize
+/// Rows of a tile whose first row is `top`.
+fn rows_of_tile(height: u32, top: u32) -> u32 {
+    TILE.min(height - top)
 }
 
-fn render_tile(scene: &KernelScene<'_>, params: &FrameParams, tile: u32, pixels: &mut [Pixel]) {
-    let (left, top) = (tile % tiles_a_row(params.width) * TILE, tile / tiles_a_row(params.width) * TILE);
+/// Columns of a tile whose first column is `left`.
+fn columns_of_tile(width: u32, left: u32) -> u32 {
+    TILE.min(width - left)
+}
+
+/// Where the pixel in column `x` and row `y` is stored.
+fn pixel_index([width, height]: [u32; 2], x: u32, y: u32) -> usize {
+    let [left, top] = [x, y].map(|x| x / TILE * TILE);
+    let above = top as usize * width as usize;
+    let before = left as usize * rows_of_tile(height, top) as usize;
+    above + before + ((y - top) * columns_of_tile(width, left) + x - left) as usize
+}
+
+fn render_tile(scene: &KernelScene<'_>, params: &FrameParams, [left, top]: [u32; 2], pixels: &mut [Pixel]) {
+    let columns = columns_of_tile(params.width, left);
     for (i, pixel) in (0..).zip(pixels) {
-        let (x, y) = (left + i % TILE, top + i / TILE);
-        if x < params.width && y < params.height {
-            *pixel = render_pixel(scene, params, x, y);
+        *pixel = render_pixel(scene, params, left + i % columns, top + i / columns);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use bytemuck::Zeroable as _;
+
+    use super::*;
+    use crate::compile::Needs;
+
+    /// So that the limit on the pixels of a frame is one on memory, however long and thin the frame.
+    #[test]
+    fn each_pixel_has_a_place_and_none_is_left_over() {
+        for (width, height) in [(1, 1), (16, 16), (15, 17), (33, 50), (1, 100), (100, 1), (64, 31)] {
+            let mut found: Vec<usize> =
+                (0..height).flat_map(|y| (0..width).map(move |x| pixel_index([width, height], x, y))).collect();
+            found.sort_unstable();
+            assert_eq!(found, (0..(width * height) as usize).collect::<Vec<_>>(), "{width} x {height}");
         }
+        let long = 1 << 28;
+        assert_eq!(pixel_index([1, long], 0, long - 1), long as usize - 1);
+        assert_eq!(pixel_index([long, 1], long - 1, 0), long as usize - 1);
+    }
+
+    #[test]
+    fn memory_follows_the_frame_down() {
+        let mut cpu = Cpu::default();
+        let mut pixels_held = |width, height| {
+            let params = FrameParams { width, height, ..FrameParams::zeroed() };
+            let request = FrameRequest { params, needs: Needs::empty(), aovs: false };
+            cpu.render(&DeviceArrays::default(), &request).unwrap();
+            cpu.pixels.capacity()
+        };
+        assert!(pixels_held(200, 200) >= 40_000);
+        // A little smaller: kept, for the next one.
+        assert!(pixels_held(150, 150) >= 40_000);
+        assert!(pixels_held(10, 10) < 1000);
+        assert_eq!(pixels_held(0, 10), 0);
     }
 }

@@ -34,8 +34,8 @@ pub trait Tracer {
     /// What runs the kernel.
     fn device(&self) -> &DeviceInfo;
 
-    /// Brings the executor's copy of the arrays up to date and returns the bytes copied. After an error the next call
-    /// copies everything.
+    /// Brings the executor's copy of the arrays up to date and returns how many bytes had changed. After an error the next
+    /// call copies everything.
     ///
     /// # Errors
     /// [`Error::Limit`](crate::Error::Limit) if an array is too large for the device, before anything is copied;

@@ -56,6 +56,29 @@ fn a_device_with_too_low_limits_is_refused_by_the_limit() {
 }
 
 #[test]
+fn no_more_workgroups_are_demanded_than_are_dispatched() {
+    // What the largest batch and a texture 8192 wide take.
+    let enough = |limits: &mut wgpu::Limits| {
+        limits.max_texture_dimension_2d = 8192;
+        limits.max_compute_workgroups_per_dimension = 4096;
+    };
+    let Some(mut tracer) = limited(enough) else { return };
+    let mut random = Random::new(5);
+    let mut arrays = soup(2, &mut random);
+    tracer.upload(&mut arrays).unwrap();
+    let rays = rays(300_001, &mut random);
+    assert_eq!(tracer.any_hits(&arrays, &rays, u32::MAX).unwrap().len(), rays.len());
+    tracer.render(&arrays, &crate::frame::request(8192, 9, false)).unwrap();
+    tracer.render(&arrays, &crate::frame::request(9, 8192, false)).unwrap();
+
+    let Some((adapter, _)) = adapter() else { return };
+    let limits = wgpu::Limits { max_compute_workgroups_per_dimension: 4095, ..required_limits(&adapter) };
+    let (device, queue) = device(&adapter, limits, wgpu::Features::empty());
+    let error = GpuTracer::from_device(device, queue).unwrap_err();
+    assert!(matches!(error, Error::Limit { needed: 4096, limit: 4095, .. }), "{error}");
+}
+
+#[test]
 fn works_without_optional_features() {
     let Some((adapter, _)) = adapter() else { return };
     let (device, queue) = device(&adapter, required_limits(&adapter), wgpu::Features::empty());
@@ -80,6 +103,30 @@ fn a_lost_device_of_the_application_is_too() {
     lose(GpuTracer::from_device(device, queue).unwrap());
 }
 
+#[test]
+fn an_error_that_nobody_caught_fails_one_call_and_no_more() {
+    let Some(mut tracer) = tracer() else { return };
+    let mut random = Random::new(4);
+    let mut arrays = soup(2, &mut random);
+    let (rays, request) = (rays(10, &mut random), crate::frame::request(8, 8, false));
+    tracer.upload(&mut arrays).unwrap();
+    let mistake = wgpu::BufferDescriptor {
+        label: Some("the application's mistake"),
+        size: 4,
+        usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::MAP_WRITE,
+        mapped_at_creation: false,
+    };
+    drop(tracer.wgpu_device().create_buffer(&mistake));
+    let error = tracer.closest_hits(&arrays, &rays, 1).unwrap_err();
+    assert!(matches!(&error, Error::Gpu { message, .. } if message.contains("the application's mistake")), "{error}");
+    assert_eq!(tracer.closest_hits(&arrays, &rays, 1).unwrap().len(), rays.len());
+
+    drop(tracer.wgpu_device().create_buffer(&mistake));
+    assert!(tracer.render(&arrays, &request).is_err());
+    tracer.render(&arrays, &request).unwrap();
+    assert_eq!(tracer.read().unwrap().color.len(), 64);
+}
+
 fn lose(mut tracer: GpuTracer) {
     let mut random = Random::new(3);
     let mut arrays = soup(2, &mut random);
@@ -87,6 +134,7 @@ fn lose(mut tracer: GpuTracer) {
     tracer.upload(&mut arrays).unwrap();
     tracer.render(&arrays, &request).unwrap();
     tracer.wgpu_device().destroy();
+    assert_eq!(tracer.trace_time(), None);
     let rays = rays(10, &mut random);
     arrays.instances.write(0, &[arrays.instances[1]]);
     let outcomes = [

@@ -3,7 +3,7 @@
 use wgpu::{AdapterInfo, Backend, DeviceType, DownlevelFlags, TextureFormat, TextureUsages};
 
 use super::context::Context;
-use super::probe;
+use super::{batch, frame, probe};
 use crate::{Error, Result};
 
 /// Which kinds of adapter count as a GPU.
@@ -89,6 +89,7 @@ pub(super) fn describe(info: &AdapterInfo) -> String {
 
 /// Fails, naming it, on the first limit that is too low for the kernel.
 pub(super) fn check_limits(limits: &wgpu::Limits) -> Result<()> {
+    let workgroups = batch::MOST_WORKGROUPS.max(frame::most_workgroups(limits));
     for (what, needed, limit) in [
         ("the kernel (storage buffers a shader stage)", 15, limits.max_storage_buffers_per_shader_stage),
         ("the kernel (storage textures a shader stage)", 3, limits.max_storage_textures_per_shader_stage),
@@ -98,7 +99,7 @@ pub(super) fn check_limits(limits: &wgpu::Limits) -> Result<()> {
         ("the kernel (invocations a workgroup)", 64, limits.max_compute_invocations_per_workgroup),
         ("the kernel (workgroup size along x)", 64, limits.max_compute_workgroup_size_x),
         ("the kernel (workgroup size along y)", 8, limits.max_compute_workgroup_size_y),
-        ("the kernel (workgroups a dispatch)", 16384, limits.max_compute_workgroups_per_dimension),
+        ("the kernel (workgroups a dispatch)", workgroups, limits.max_compute_workgroups_per_dimension),
     ] {
         if limit < needed {
             let hint = "; request the device with ropewalk's required_limits(), or use another adapter";

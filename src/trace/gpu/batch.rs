@@ -17,6 +17,9 @@ const RAYS_PER_DISPATCH: usize = 1 << 18;
 /// Rays of a workgroup.
 const WORKGROUP_RAYS: u32 = 64;
 
+/// The most workgroups of a dispatch.
+pub(super) const MOST_WORKGROUPS: u32 = RAYS_PER_DISPATCH as u32 / WORKGROUP_RAYS;
+
 /// Where the rays of a batch are bound: group 1 of the entry points `closest_hits` and `any_hits`.
 pub(super) fn layout(context: &Context) -> wgpu::BindGroupLayout {
     context.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
@@ -94,7 +97,7 @@ impl Batch {
         let mut answers = Vec::with_capacity(rays.len());
         for rays in rays.chunks(self.capacity) {
             let count = rays.len() as u32;
-            let params = RayBatch { first: 0, count, ray_mask, _pad: 0 };
+            let params = RayBatch { count, ray_mask, _pad: [0; 2] };
             context.queue.write_buffer(&self.params, 0, bytemuck::bytes_of(&params));
             context.queue.write_buffer(&self.rays, 0, bytemuck::cast_slice(rays));
             let bytes = size_of::<T>() as u64 * u64::from(count);

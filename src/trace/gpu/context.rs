@@ -18,7 +18,9 @@ pub(super) struct Context {
     pub(super) queue: wgpu::Queue,
     pub(super) info: DeviceInfo,
     pub(super) limits: wgpu::Limits,
-    /// What the driver said outside any call of ours: that the device is lost, above all.
+    /// How the device was lost, if it was: nothing works from then on.
+    loss: Arc<OnceLock<String>>,
+    /// The first thing that the driver said outside any call of ours and that no call has reported yet.
     complaint: Arc<Mutex<Option<String>>>,
 }
 
@@ -26,28 +28,32 @@ impl Context {
     pub(super) fn new(device: wgpu::Device, queue: wgpu::Queue) -> Self {
         let info = DeviceInfo { executor: "gpu", name: describe(&device.adapter_info()) };
         let limits = device.limits();
-        Self { device, queue, info, limits, complaint: Arc::default() }
+        Self { device, queue, info, limits, loss: Arc::default(), complaint: Arc::default() }
     }
 
     /// Listens for errors that no scope catches and for the loss of the device. Each device has one listener: only for
     /// devices of our own, since an application may have set its own.
     pub(super) fn watch(&self) {
         let complaint = Arc::clone(&self.complaint);
-        self.device.on_uncaptured_error(Arc::new(move |error| complain(&complaint, error.to_string())));
-        let complaint = Arc::clone(&self.complaint);
-        self.device.set_device_lost_callback(move |reason, message| {
-            complain(&complaint, format!("the device was lost ({reason:?}): {message}"));
+        self.device.on_uncaptured_error(Arc::new(move |error| {
+            complaint.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert_with(|| message(&error));
+        }));
+        let loss = Arc::clone(&self.loss);
+        self.device.set_device_lost_callback(move |reason, words| {
+            let _ = loss.set(format!("the device was lost ({reason:?}): {words}"));
         });
     }
 
-    /// Does `work` and returns what it returned, or what the driver said of it.
+    /// Does `work` and returns what it returned, or what the driver said: of it, or, once, of something before that nobody
+    /// heard.
     pub(super) fn scoped<T>(&self, during: &'static str, work: impl FnOnce() -> Result<T>) -> Result<T> {
         let [validation, memory, internal] = [ErrorFilter::Validation, ErrorFilter::OutOfMemory, ErrorFilter::Internal]
             .map(|filter| self.device.push_error_scope(filter));
         let outcome = work();
         let errors = [internal, memory, validation].map(|scope| pollster::block_on(scope.pop()));
-        let complaint = self.complaint.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        match errors.into_iter().flatten().map(|error| message(&error)).next().or(complaint) {
+        let complaint = self.complaint.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let loss = self.loss.get().cloned();
+        match loss.or(errors.into_iter().flatten().map(|error| message(&error)).next()).or(complaint) {
             Some(message) => Err(Error::Gpu { during, message }),
             None => outcome,
         }
@@ -127,10 +133,6 @@ impl Context {
 
 fn lost(during: &'static str) -> Error {
     Error::Gpu { during, message: "the device was lost: make a new one".into() }
-}
-
-fn complain(complaint: &Mutex<Option<String>>, message: String) {
-    complaint.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(message);
 }
 
 /// wgpu's words on one line.

@@ -5,7 +5,10 @@ use wgpu::{BufferUsages, TextureFormat, TextureUsages};
 
 use super::context::Context;
 use super::timer::Timer;
+use crate::compile::Needs;
 use crate::device::layout::FrameParams;
+use crate::trace::FrameRequest;
+use crate::trace::kernel::most_rays;
 use crate::trace::planes::{AovPlanes, Planes};
 use crate::{Error, Result};
 
@@ -14,9 +17,12 @@ pub(super) const TRACING: &str = "tracing the frame";
 /// What fails if it cannot be read.
 pub(super) const READING: &str = "reading the frame";
 
-/// Pixels that one dispatch traces. Drivers end a dispatch that takes seconds: this many take a small part of one even
-/// where paths are long and the GPU is weak.
-const PIXELS_PER_DISPATCH: u32 = 1 << 18;
+/// The most rays that the pixels of one dispatch may need together. Drivers end a dispatch that takes seconds: a GPU that
+/// traces ten million rays a second, a weak one, takes less than one for these.
+const RAYS_PER_DISPATCH: u64 = 1 << 23;
+
+/// The most pixels that one dispatch traces, however few rays they need: those may go through large scenes.
+const PIXELS_PER_DISPATCH: u64 = 1 << 18;
 
 /// Rows of a workgroup: a dispatch traces whole workgroups.
 const WORKGROUP_ROWS: u32 = 8;
@@ -84,7 +90,7 @@ pub(super) struct Frame {
     color: wgpu::Texture,
     normal_depth: wgpu::Texture,
     ids: wgpu::Texture,
-    /// The parameters of each dispatch, `stride` bytes apart.
+    /// The parameters of each dispatch, `stride` bytes apart: room for as many as there can be.
     params: wgpu::Buffer,
     stride: usize,
     bind_group: wgpu::BindGroup,
@@ -124,7 +130,7 @@ impl Frame {
         let ids = texture("ids", TextureFormat::Rgba32Uint, aov_size);
         let stride =
             size_of::<FrameParams>().next_multiple_of(context.limits.min_uniform_buffer_offset_alignment as usize);
-        let slots = 1 + height.div_ceil(band_rows(width)) as usize;
+        let slots = 1 + height.div_ceil(WORKGROUP_ROWS) as usize;
         let params = context.buffer("frame", (slots * stride) as u64, BufferUsages::UNIFORM | BufferUsages::COPY_DST);
         let view = |texture: &wgpu::Texture| texture.create_view(&wgpu::TextureViewDescriptor::default());
         let outputs = [&view(&color), &view(&normal_depth), &view(&ids)];
@@ -156,7 +162,7 @@ impl Frame {
         is_new: bool,
         scene: &wgpu::BindGroup,
         timer: Option<&Timer>,
-        params: &FrameParams,
+        request: &FrameRequest,
     ) -> Result<()> {
         let dispatch = |encoder: &mut wgpu::CommandEncoder, band: &Band, timestamp_writes| {
             let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: None, timestamp_writes });
@@ -165,7 +171,7 @@ impl Frame {
             pass.set_bind_group(1, &self.bind_group, &[band.offset]);
             pass.dispatch_workgroups(band.workgroups[0], band.workgroups[1], 1);
         };
-        let bands = self.write_params(context, params);
+        let bands = self.write_params(context, request);
         if is_new {
             context.submit(TRACING, |encoder| dispatch(encoder, &Band { offset: 0, workgroups: [1, 1] }, None))?;
         }
@@ -182,12 +188,12 @@ impl Frame {
     }
 
     /// Writes the parameters of each dispatch: first those of one that traces nothing, then those of the bands.
-    fn write_params(&self, context: &Context, params: &FrameParams) -> Vec<Band> {
-        let rows = band_rows(self.width);
+    fn write_params(&self, context: &Context, request: &FrameRequest) -> Vec<Band> {
+        let rows = band_rows(self.width, rays_of_pixel(request));
         let mut bytes = Vec::new();
         let mut add = |first_row| {
             let offset = bytes.len();
-            bytes.extend_from_slice(bytemuck::bytes_of(&FrameParams { first_row, ..*params }));
+            bytes.extend_from_slice(bytemuck::bytes_of(&FrameParams { first_row, ..request.params }));
             bytes.resize(offset + self.stride, 0);
             offset as u32
         };
@@ -281,7 +287,58 @@ fn copy_rows(
     encoder.copy_texture_to_buffer(from, wgpu::TexelCopyBufferInfo { buffer: staging, layout }, size);
 }
 
-/// Rows that one dispatch traces: whole workgroups, at least one.
-fn band_rows(width: u32) -> u32 {
-    (PIXELS_PER_DISPATCH / width.max(1)).max(WORKGROUP_ROWS) / WORKGROUP_ROWS * WORKGROUP_ROWS
+/// The most rays that a pixel may need: those of its paths, and for each a shadow ray to every light.
+fn rays_of_pixel(request: &FrameRequest) -> u64 {
+    let lights = if request.needs.contains(Needs::LIGHTS) { request.params.light_count } else { 0 };
+    u64::from(most_rays(request.params.max_depth, request.needs)) * (1 + u64::from(lights))
+}
+
+/// Rows that one dispatch traces: whole workgroups, and at least one even where that exceeds the budget, as it does for
+/// wide images of many lights.
+fn band_rows(width: u32, rays_of_pixel: u64) -> u32 {
+    let pixels = PIXELS_PER_DISPATCH.min(RAYS_PER_DISPATCH / rays_of_pixel);
+    let rows = (pixels / u64::from(width.max(1))) as u32;
+    (rows / WORKGROUP_ROWS).max(1) * WORKGROUP_ROWS
+}
+
+/// The most workgroups along one side of a dispatch: those of the largest texture.
+pub(super) fn most_workgroups(limits: &wgpu::Limits) -> u32 {
+    limits.max_texture_dimension_2d.div_ceil(WORKGROUP_COLUMNS.min(WORKGROUP_ROWS))
+}
+
+#[cfg(test)]
+mod tests {
+    use bytemuck::Zeroable as _;
+
+    use super::*;
+
+    fn rays(needs: Needs, max_depth: u32, light_count: u32) -> u64 {
+        let params = FrameParams { max_depth, light_count, ..FrameParams::zeroed() };
+        rays_of_pixel(&FrameRequest { params, needs, aovs: false })
+    }
+
+    #[test]
+    fn bands_are_lower_where_pixels_need_more_rays() {
+        let mirrors = Needs::REFLECTION | Needs::REFRACTION;
+        assert_eq!(rays(Needs::empty(), 3, 9), 1, "lights that are not needed cast no shadows");
+        assert_eq!(rays(Needs::LIGHTS, 3, 9), 10);
+        assert_eq!(rays(Needs::LIGHTS | Needs::REFLECTION, 3, 4), 4 * 5);
+        assert_eq!(rays(mirrors, 3, 0), 1 + 2 + 4 + 8);
+
+        assert_eq!(band_rows(1024, 1), 256);
+        assert_eq!(band_rows(1024, 32), 256);
+        assert_eq!(band_rows(1024, 256), 32);
+        assert_eq!(band_rows(1000, 15 * 5), 104);
+        let mut compared = 0;
+        for width in [1, 100, 1920, 16384] {
+            for rays in [1, 60, 4096, u64::from(u32::MAX) * 256] {
+                let rows = band_rows(width, rays);
+                assert!(rows >= WORKGROUP_ROWS && rows.is_multiple_of(WORKGROUP_ROWS), "{rows}");
+                let within = u64::from(rows) * u64::from(width) * rays <= RAYS_PER_DISPATCH;
+                assert!(within || rows == WORKGROUP_ROWS, "{width} {rays}");
+                compared += usize::from(within);
+            }
+        }
+        assert!(compared > 4, "{compared}");
+    }
 }

@@ -75,11 +75,7 @@ fn compile(
         layout: Some(layout),
         module: &module,
         entry_point: Some(name),
-        compilation_options: wgpu::PipelineCompilationOptions {
-            // The kernel writes workgroup memory before it reads it.
-            zero_initialize_workgroup_memory: false,
-            ..Default::default()
-        },
+        compilation_options: wgpu::PipelineCompilationOptions::default(),
         cache: None,
     })
 }

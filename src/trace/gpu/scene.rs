@@ -21,6 +21,9 @@ const BYTES_PER_SUBMISSION: usize = 64 << 20;
 /// Changes of fewer bytes are gathered into one write.
 const SMALL_RANGE: usize = 16 << 10;
 
+/// Changes with fewer bytes between them are written as one, those bytes too.
+const SMALL_GAP: usize = 256;
+
 /// A buffer is made smaller when its array needs less than one part in this many.
 const SHRINK: u64 = 4;
 
@@ -60,7 +63,7 @@ impl SceneBuffers {
         self.buffers.iter().flatten().map(|array| array.buffer.size()).sum()
     }
 
-    /// Copies what changed and returns the bytes copied. Fails before anything is written if an array is too large for
+    /// Copies what changed and returns how many bytes did. Fails before anything is written if an array is too large for
     /// a buffer of this device; after any other failure the next call copies everything.
     pub(super) fn upload(&mut self, context: &Context, arrays: &mut DeviceArrays) -> Result<u64> {
         let mut sources = sources(arrays);
@@ -152,7 +155,7 @@ fn upload_array(context: &Context, source: &mut Source, slot: &mut Option<ArrayB
         context.submit(DURING, |encoder| encoder.copy_buffer_to_buffer(&old.buffer, 0, &buffer, 0, kept))?;
         buffer
     };
-    let (small, large): (Vec<_>, Vec<_>) = dirty.iter().cloned().partition(|range| range.len() < SMALL_RANGE);
+    let (small, large): (Vec<_>, Vec<_>) = join_near(&dirty).into_iter().partition(|range| range.len() < SMALL_RANGE);
     for range in large {
         write(context, &buffer, bytes, range);
     }
@@ -171,6 +174,12 @@ fn write(context: &Context, buffer: &wgpu::Buffer, bytes: &[u8], range: Range<us
     }
 }
 
+/// Joins those of the sorted `ranges` that have little between them.
+fn join_near(ranges: &[Range<usize>]) -> Vec<Range<usize>> {
+    let is_near = |a: &Range<usize>, b: &Range<usize>| b.start - a.end < SMALL_GAP;
+    ranges.chunk_by(is_near).map(|near| near[0].start..near[near.len() - 1].end).collect()
+}
+
 /// Writes many small ranges at the cost of one write and as many copies on the GPU: a write of its own for each takes ten
 /// times as long.
 fn scatter(context: &Context, buffer: &wgpu::Buffer, bytes: &[u8], ranges: &[Range<usize>]) -> Result<()> {
@@ -179,7 +188,10 @@ fn scatter(context: &Context, buffer: &wgpu::Buffer, bytes: &[u8], ranges: &[Ran
             write(context, buffer, bytes, range.clone());
             continue;
         }
-        let gathered: Vec<u8> = ranges.iter().flat_map(|range| &bytes[range.clone()]).copied().collect();
+        let mut gathered = Vec::with_capacity(ranges.iter().map(ExactSizeIterator::len).sum());
+        for range in ranges {
+            gathered.extend_from_slice(&bytes[range.clone()]);
+        }
         let usage = BufferUsages::COPY_DST | BufferUsages::COPY_SRC;
         let scratch = context.buffer("changes", gathered.len() as u64, usage);
         write(context, &scratch, &gathered, 0..gathered.len());
@@ -272,6 +284,14 @@ static ZEROS: [u8; 128] = [0; 128];
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn near_ranges_are_joined_and_far_ones_are_not() {
+        let near = SMALL_GAP - 4;
+        let ranges = [0..4, 4 + near..600, 600 + SMALL_GAP..1000, 1000 + near..2000, 5000..5004];
+        assert_eq!(join_near(&ranges), [0..600, 600 + SMALL_GAP..2000, 5000..5004]);
+        assert_eq!(join_near(&[]), []);
+    }
 
     /// The arrays are bound by position: each must stand where the shader declares it.
     #[test]

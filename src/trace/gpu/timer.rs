@@ -7,6 +7,9 @@ use wgpu::BufferUsages;
 use super::context::Context;
 use crate::Result;
 
+/// What fails if this does.
+const DURING: &str = "reading the trace time";
+
 const BYTES: u64 = 2 * size_of::<u64>() as u64;
 
 /// Two timestamps: when a frame's first dispatch began and when its last one ended.
@@ -50,10 +53,9 @@ impl Timer {
 
     /// Waits for the frame and returns its time.
     pub(super) fn read(&self, context: &Context) -> Result<Duration> {
-        context.read("reading the trace time", &self.staging, BYTES, |bytes| {
-            let ticks: Vec<u64> = bytemuck::pod_collect_to_vec(bytes);
-            let ticks = ticks[1].saturating_sub(ticks[0]);
-            Duration::from_nanos((ticks as f64 * f64::from(self.nanoseconds_per_tick)) as u64)
-        })
+        let [began, ended] = context
+            .scoped(DURING, || context.read(DURING, &self.staging, BYTES, bytemuck::pod_read_unaligned::<[u64; 2]>))?;
+        let ticks = ended.saturating_sub(began);
+        Ok(Duration::from_nanos((ticks as f64 * f64::from(self.nanoseconds_per_tick)) as u64))
     }
 }

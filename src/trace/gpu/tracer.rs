@@ -37,6 +37,7 @@ pub struct GpuTracer {
     frame: Option<Frame>,
     /// The last frame, where that has no pixels.
     empty: Option<Planes>,
+    /// The last batch's buffers, where that did not fail.
     batch: Option<Batch>,
 }
 
@@ -103,11 +104,13 @@ impl GpuTracer {
     }
 
     /// How often the scene's buffers had to be bound anew because one of them was replaced.
+    #[doc(hidden)]
     pub fn bind_groups_made(&self) -> u64 {
         self.scene.bind_groups_made()
     }
 
     /// How many pipelines were compiled, one for each entry point and set of needs.
+    #[doc(hidden)]
     pub fn pipelines_made(&self) -> usize {
         self.pipelines.len()
     }
@@ -119,13 +122,14 @@ impl GpuTracer {
             return Ok(Vec::new());
         }
         let (pipeline, _) = pipelines.pipeline(context, entry_point, BATCH_NEEDS)?;
-        context.scoped(batch::DURING, || {
-            let batch = match batch.take().filter(|batch| batch.serves(rays.len())) {
-                Some(large_enough) => batch.insert(large_enough),
-                None => batch.insert(Batch::new(context, batch_layout, rays.len())),
-            };
-            batch.trace(context, &pipeline, scene, rays, ray_mask)
-        })
+        let last = batch.take().filter(|batch| batch.serves(rays.len()));
+        let (used, answers) = context.scoped(batch::DURING, || {
+            let batch = last.unwrap_or_else(|| Batch::new(context, batch_layout, rays.len()));
+            let answers = batch.trace(context, &pipeline, scene, rays, ray_mask)?;
+            Ok((batch, answers))
+        })?;
+        *batch = Some(used);
+        Ok(answers)
     }
 }
 
@@ -157,7 +161,7 @@ impl Tracer for GpuTracer {
         let last = self.frame.take().filter(|frame| frame.serves(size, request.aovs));
         let frame = context.scoped(frame::TRACING, || {
             let frame = last.unwrap_or_else(|| Frame::new(context, frame_layout, size, request.aovs));
-            frame.trace(context, &pipeline, is_new, scene, timer.as_ref(), &request.params)?;
+            frame.trace(context, &pipeline, is_new, scene, timer.as_ref(), request)?;
             Ok(frame)
         })?;
         self.frame = Some(frame);

@@ -14,6 +14,8 @@ mod traverse;
 mod whitted;
 
 pub(crate) use traverse::{any_hit, closest_hit, transmittance};
+#[cfg(feature = "gpu")]
+pub(crate) use whitted::most_rays;
 pub(crate) use whitted::{MAX_DEPTH, Pixel, render_pixel};
 
 use crate::device::DeviceArrays;

@@ -25,6 +25,8 @@ use super::offset::leave;
 use super::sky::{sky_ambient, sky_blurred, sky_radiance};
 use super::surface::{Surface, raise, surface_at, unit_or};
 use super::{KernelScene, closest_hit};
+#[cfg(feature = "gpu")]
+use crate::compile::Needs;
 use crate::device::layout::{FrameParams, MaterialFlags, NONE, Ray};
 
 /// The most reflections and refractions of a path, whatever `max_depth` says: [`View::MAX_DEPTH`](crate::View::MAX_DEPTH).
@@ -41,6 +43,18 @@ pub(super) const MIN_THROUGHPUT: f32 = 1.0 / (1 << 13) as f32;
 ///
 /// In WGSL, where memory is dear, 1, 9 or 17 by what the scene needs. Here always 17: what is not needed never waits.
 pub(super) const MAX_PENDING: usize = 1 + 2 * MAX_DEPTH as usize;
+
+/// The most rays that a pixel can need, shadow rays not counted: how much work a dispatch may be.
+#[cfg(feature = "gpu")]
+pub(crate) fn most_rays(max_depth: u32, needs: Needs) -> u32 {
+    let depth = max_depth.min(MAX_DEPTH);
+    match [Needs::BLEND, Needs::REFLECTION, Needs::REFRACTION].map(|need| needs.contains(need)) {
+        [true, ..] => MAX_RAYS,
+        [false, true, true] => ((2 << depth) - 1).min(MAX_RAYS),
+        [false, false, false] => 1,
+        [false, ..] => 1 + depth,
+    }
+}
 
 /// What a primary ray brings back.
 #[derive(Clone, Copy, Debug)]
