@@ -225,7 +225,7 @@ fn one_scene_of_several() {
     assert_eq!(imported(&fixture, Some(SceneChoice::Index(2))).unwrap(), (Some(2), String::new()));
     assert_eq!(imported(&fixture, Some(SceneChoice::Name("second".into()))).unwrap(), (Some(1), "bc".into()));
     let error = imported(&fixture, Some(SceneChoice::Name("third".into()))).unwrap_err().to_string();
-    assert_eq!(error, "fixture.glb: /scenes: there is no scene \"third\" among: second");
+    assert_eq!(error, "fixture.glb: /scenes: there is no scene \"third\"; there are 3, with the names: second");
     assert!(imported(&fixture, Some(SceneChoice::Index(3))).is_err());
 }
 
