@@ -35,9 +35,9 @@ bitflags::bitflags! {
         const NAME = 64;
         /// A core's transform, or whether it has one: all its users moved.
         const TRANSFORM = 128;
-        /// Anything else in a core that is still of its kind; all of a geometry, material or texture.
+        /// Anything else in a core; all of a geometry, material or texture.
         const DATA = 256;
-        /// A core's kind: a geometry became a light, say.
+        /// A core's kind: a geometry became a light, say. Its data changed with it.
         const KIND = 512;
     }
 }

@@ -92,7 +92,7 @@ impl Scene {
         let moves = matches!(old, Core::Transform(_)) || matches!(new, Core::Transform(_));
         let mut change = if moves { Change::TRANSFORM } else { Change::empty() };
         if std::mem::discriminant(&old) != std::mem::discriminant(new) {
-            change |= Change::KIND;
+            change |= Change::KIND | Change::DATA;
         } else if !moves {
             change |= Change::DATA;
         }

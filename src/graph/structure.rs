@@ -171,9 +171,10 @@ impl Scene {
         Ok(())
     }
 
-    /// Sets the transform of this node only: a core that others share is replaced by one of its own.
+    /// Sets the transform of this node only: a core that others share is replaced by one of its own, if it differs.
     fn set_own_local(&mut self, node: NodeKey, local: Transform) -> Result<()> {
-        if self.cores[self.nodes[node].core].user_count > 1 {
+        let slot = &self.cores[self.nodes[node].core];
+        if slot.user_count > 1 && slot.core != Core::Transform(local) {
             self.set_core(node, Core::Transform(local))
         } else {
             self.set_local(node, local)

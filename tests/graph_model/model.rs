@@ -127,8 +127,8 @@ impl Model {
         compare_maps(&self.cores, &later.cores, &mut changes, |old, new| match (old, new) {
             (old, new) if old == new => Change::empty(),
             (Core::Transform(_), Core::Transform(_)) => Change::TRANSFORM,
-            (Core::Transform(_), _) | (_, Core::Transform(_)) => Change::TRANSFORM | Change::KIND,
-            _ if old.kind() != new.kind() => Change::KIND,
+            (Core::Transform(_), _) | (_, Core::Transform(_)) => Change::TRANSFORM | Change::KIND | Change::DATA,
+            _ if old.kind() != new.kind() => Change::KIND | Change::DATA,
             _ => Change::DATA,
         });
         compare_maps(&self.geometries, &later.geometries, &mut changes, data_differs);
