@@ -9,7 +9,7 @@ use super::Needs;
 use super::geometry_cache::GeometryCache;
 use super::material_table::MaterialTable;
 use super::pack::Placement;
-use crate::accel::Tlas;
+use crate::accel::TopLevel;
 use crate::device::DeviceArrays;
 use crate::device::layout::{Instance, InstanceFlags, PrimitiveRange};
 use crate::graph::{GeometryKey, Hierarchy, MaterialKey, NodeKey};
@@ -117,7 +117,11 @@ impl InstanceTable {
         if !std::mem::take(&mut self.tlas_stale) {
             return false;
         }
-        arrays.tlas_nodes.replace(&Tlas::build(&self.boxes, &self.slots).nodes);
+        let mut boxes = vec![Aabb::EMPTY; arrays.instances.len()];
+        for (&slot, &bounds) in self.slots.iter().zip(&self.boxes) {
+            boxes[slot as usize] = bounds;
+        }
+        TopLevel::default().build(&mut arrays.tlas_nodes, &boxes);
         true
     }
 
