@@ -167,7 +167,7 @@ fn place(member: &Member, sources: &Sources<'_>) -> (Instance, Aabb) {
     if geometry.nodes.is_empty() {
         return nothing;
     }
-    let Some(placement) = Placement::new(world_from_local, sources.origin, &geometry.bounds) else { return nothing };
+    let Some(placement) = Placement::new(world_from_local, sources.origin, &geometry.support) else { return nothing };
     let indices = [geometry.nodes.start, geometry.triangles.start, geometry.streams.start, material.record.start];
     let mask = sources.hierarchy.masks()[preorder];
     let mut flags = material.instance_flags;
