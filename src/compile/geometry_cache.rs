@@ -108,8 +108,7 @@ impl GeometryCache {
             let blas = Blas::build(geometry, &BuildParams::default())?;
             Ok(Built { support: Support::new(&blas), blas })
         };
-        let built: Vec<Built> =
-            missing.par_iter().map(|(_, _, geometry)| build(geometry)).collect::<Result<_>>()?;
+        let built: Vec<Built> = missing.par_iter().map(|(_, _, geometry)| build(geometry)).collect::<Result<_>>()?;
 
         let mut update = GeometryUpdate { freed: stale.len(), ..GeometryUpdate::default() };
         for ((key, version, geometry), built) in missing.into_iter().zip(built) {

@@ -289,7 +289,8 @@ fn a_cost_that_grows_rebuilds() {
             }
             update => assert!(matches!(update, Update::Patched { instances: 1, .. }), "{update:?}"),
         }
-        dearest = dearest.max(built.top_level.sah_cost(&built.nodes) / build(&boxes).top_level.sah_cost(&build(&boxes).nodes));
+        dearest = dearest
+            .max(built.top_level.sah_cost(&built.nodes) / build(&boxes).top_level.sah_cost(&build(&boxes).nodes));
     }
     check(&built, &boxes);
     assert!(rebuilt > 3, "{rebuilt} rebuilds");
@@ -386,7 +387,8 @@ fn a_giant_leaves_no_trace_in_the_cost() {
         for bounds in [cube(Vec3::ZERO, 1e18), old] {
             boxes[i % 300] = bounds;
             built.update(&boxes, &[(i % 300) as u32]);
-            let (cost, measured) = (built.top_level.sah_cost(&built.nodes), built.top_level.stats(&built.nodes).sah_cost);
+            let (cost, measured) =
+                (built.top_level.sah_cost(&built.nodes), built.top_level.stats(&built.nodes).sah_cost);
             assert!((cost - measured).abs() <= 1e-6 * cost, "{cost} is not {measured}");
             compared += 1;
         }

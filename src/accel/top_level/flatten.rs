@@ -26,13 +26,7 @@ pub(super) fn node_count(tree: &Tree, room: usize) -> usize {
 
 /// Writes nodes and their parents, and puts the instances in leaves. Unused leaves come first, in a subtree of their own: the
 /// last node is always in use.
-pub(super) fn flatten(
-    tree: &Tree,
-    room: usize,
-    nodes: &mut [Node],
-    parents: &mut [u32],
-    leaves: &mut Leaves,
-) -> Areas {
+pub(super) fn flatten(tree: &Tree, room: usize, nodes: &mut [Node], parents: &mut [u32], leaves: &mut Leaves) -> Areas {
     let Some(root) = tree.root() else { return Areas::default() };
     let emitter = Emitter { tree, leaves };
     if room == 0 {
