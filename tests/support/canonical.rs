@@ -6,8 +6,9 @@ use ropewalk::device::layout::{Instance, Light, Material, NONE, Node, Streams, T
 /// Everything that a kernel can reach in some arrays, with places replaced by contents. Compares bit by bit.
 #[derive(Debug, PartialEq)]
 pub(crate) struct Canonical {
-    /// The top level, instances renumbered in the order of its leaves.
-    tlas_nodes: Vec<u8>,
+    /// The box of the top level's root. Its other inner nodes depend on how it came about.
+    root: Option<[[f32; 3]; 2]>,
+    /// In the order of their records.
     instances: Vec<CanonicalInstance>,
     lights: Vec<u8>,
 }
@@ -16,6 +17,8 @@ pub(crate) struct Canonical {
 struct CanonicalInstance {
     /// The record without its indices.
     record: Vec<u8>,
+    /// The box of its leaf in the top level.
+    leaf: [[f32; 3]; 2],
     blas_nodes: Vec<u8>,
     triangles: Vec<u8>,
     /// Indices and streams of the geometry, one after the other.
@@ -27,22 +30,18 @@ struct CanonicalInstance {
 impl Canonical {
     /// The canonical form of compiled arrays.
     pub(crate) fn of(arrays: &DeviceArrays) -> Self {
-        let mut tlas_nodes: Vec<Node> = arrays.tlas_nodes.to_vec();
-        let mut instances = Vec::new();
-        for node in &mut tlas_nodes {
-            if node.primitives.count() > 0 {
-                instances.push(canonical_instance(arrays, &arrays.instances[node.primitives.first() as usize]));
-                node.primitives = ropewalk::device::layout::PrimitiveRange::leaf(instances.len() as u32 - 1, 1);
-            }
-        }
+        let leaves = arrays.tlas_nodes.iter().filter(|node| node.primitives.count() > 0);
+        let mut instances: Vec<CanonicalInstance> = leaves.map(|leaf| canonical_instance(arrays, leaf)).collect();
+        instances.sort_by(|a, b| a.record.cmp(&b.record));
+        let root = arrays.tlas_nodes.first().map(|root| [root.min, root.max]);
         let lights: &[Light] = &arrays.lights;
-        Self { tlas_nodes: bytes(&tlas_nodes), instances, lights: bytes(lights) }
+        Self { root, instances, lights: bytes(lights) }
     }
 
     /// The first part that differs, by name; `None` if nothing does.
     pub(crate) fn difference(&self, other: &Self) -> Option<String> {
-        if self.tlas_nodes != other.tlas_nodes {
-            return Some("tlas_nodes".to_owned());
+        if self.root != other.root {
+            return Some("root".to_owned());
         }
         if self.lights != other.lights {
             return Some("lights".to_owned());
@@ -53,6 +52,7 @@ impl Canonical {
         let (i, (a, b)) = self.instances.iter().zip(&other.instances).enumerate().find(|(_, (a, b))| a != b)?;
         let part = match () {
             () if a.record != b.record => "record",
+            () if a.leaf != b.leaf => "leaf",
             () if a.blas_nodes != b.blas_nodes => "blas_nodes",
             () if a.triangles != b.triangles => "triangles",
             () if a.streams != b.streams => "streams",
@@ -68,7 +68,8 @@ impl Canonical {
     }
 }
 
-fn canonical_instance(arrays: &DeviceArrays, instance: &Instance) -> CanonicalInstance {
+fn canonical_instance(arrays: &DeviceArrays, leaf: &Node) -> CanonicalInstance {
+    let instance = &arrays.instances[leaf.primitives.first() as usize];
     let nodes = reachable(&arrays.blas_nodes[instance.first_node as usize..]);
     let triangle_count =
         nodes.iter().map(|n| (n.primitives.first() + n.primitives.count()) as usize).max().unwrap_or(0);
@@ -92,6 +93,7 @@ fn canonical_instance(arrays: &DeviceArrays, instance: &Instance) -> CanonicalIn
     };
     CanonicalInstance {
         record: bytes(&[record]),
+        leaf: [leaf.min, leaf.max],
         blas_nodes: bytes(nodes),
         triangles: bytes(triangles),
         streams: canonical_streams(arrays, &arrays.geometries[instance.geometry as usize], triangles),
