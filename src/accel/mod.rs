@@ -15,6 +15,7 @@ mod flatten;
 mod sah;
 mod stats;
 mod tlas;
+mod top_level;
 mod tree;
 mod validate;
 
@@ -22,4 +23,5 @@ pub use blas::{Blas, BuildParams};
 pub use sah::MAX_DEPTH;
 pub use stats::Stats;
 pub use tlas::Tlas;
+pub use top_level::{Rebuild, TopLevel, Update};
 pub use validate::StructureError;
