@@ -53,9 +53,9 @@ pub use error::{Error, Result};
 /// The vectors, quaternions and matrices of this interface.
 pub use glam;
 pub use graph::{
-    AlphaMode, Camera, Change, Changes, Core, CoreKey, CoreSource, Cursor, Filter, Geometry, GeometryKey, Hierarchy,
-    Keep, Light, LightKind, Material, MaterialKey, NodeKey, Object, Sampler, Scene, SceneId, Texture, TextureKey,
-    TextureRef, Transform, Wrap,
+    AlphaMode, Camera, Change, Changes, Core, CoreKey, CoreSource, Cursor, Descend, Filter, Geometry, GeometryKey,
+    Hierarchy, Keep, Light, LightKind, Material, MaterialKey, NodeKey, Object, Sampler, Scene, SceneId, Texture,
+    TextureKey, TextureRef, Transform, Visitor, Wrap,
 };
 pub use math::{Aabb, Bounds};
 pub use render::{DeviceChoice, Frame, FrameReport, Renderer, RendererOptions, Sky, View};

@@ -1,7 +1,7 @@
 //! The retained scene graph: nodes, cores, the change log.
 //!
 //! [`Scene`] owns everything. Its edits and getters stand in files of their own: `structure` (the tree), `cores`,
-//! `assets`, `query`.
+//! `assets`, `query`, `find`, `visit`.
 
 mod assets;
 mod bit_set;
@@ -9,6 +9,7 @@ mod camera;
 mod changes;
 mod core;
 mod cores;
+mod find;
 mod geometry;
 mod hierarchy;
 mod key;
@@ -22,6 +23,7 @@ mod scene;
 mod structure;
 mod transform;
 mod validate;
+mod visit;
 
 pub use camera::Camera;
 pub use changes::{Change, Changes, Cursor};
@@ -35,3 +37,4 @@ pub use node::Keep;
 pub use query::{Ancestors, Children, Descendants, Users};
 pub use scene::{Scene, SceneId};
 pub use transform::Transform;
+pub use visit::{Descend, Visitor};

@@ -121,14 +121,18 @@ impl View {
         let axes = self.world_from_view.matrix3;
         let [right, up, back] = [axes.x_axis, axes.y_axis, axes.z_axis].map(|axis| axis.normalize_or_zero().as_vec3());
         let (half_width, half_height, orthographic) = self.half_extent();
+        let (right, up, shift) = (right * half_width, up * half_height, self.camera.shift());
+        let (mut eye, mut forward) = ((self.world_from_view.translation - origin).as_vec3(), -back);
+        let to_center = right * shift.x + up * shift.y;
+        *(if orthographic == 0 { &mut forward } else { &mut eye }) += to_center;
         FrameParams {
-            eye: (self.world_from_view.translation - origin).as_vec3().to_array(),
+            eye: eye.to_array(),
             width: self.width,
-            right: (right * half_width).to_array(),
+            right: right.to_array(),
             height: self.height,
-            up: (up * half_height).to_array(),
+            up: up.to_array(),
             max_depth: self.max_depth,
-            forward: (-back).to_array(),
+            forward: forward.to_array(),
             orthographic,
             sky_zenith: self.sky.zenith.to_array(),
             ray_mask: self.ray_mask,
@@ -146,11 +150,11 @@ impl View {
     fn half_extent(&self) -> (f32, f32, u32) {
         let image_aspect = self.width.max(1) as f32 / self.height.max(1) as f32;
         let (half_width, half_height, orthographic) = match self.camera {
-            Camera::Perspective { y_fov, aspect } => {
+            Camera::Perspective { y_fov, aspect, .. } => {
                 let half_height = (y_fov * 0.5).tan();
                 (half_height * aspect.unwrap_or(image_aspect), half_height, 0)
             }
-            Camera::Orthographic { x_mag, y_mag } => (x_mag, y_mag, 1),
+            Camera::Orthographic { x_mag, y_mag, .. } => (x_mag, y_mag, 1),
         };
         let grown_width = half_width.max(half_height * image_aspect);
         let grown_height = half_height.max(half_width / image_aspect);
