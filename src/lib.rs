@@ -46,6 +46,7 @@ pub mod gltf;
 pub mod graph;
 pub mod image;
 pub mod math;
+pub mod query;
 pub mod render;
 pub mod trace;
 
@@ -54,10 +55,11 @@ pub use error::{Error, Result};
 pub use glam;
 pub use graph::{
     AlphaMode, Camera, Change, Changes, Core, CoreKey, CoreSource, Cursor, Descend, Filter, Geometry, GeometryKey,
-    Hierarchy, Keep, Light, LightKind, Material, MaterialKey, NodeKey, Object, Sampler, Scene, SceneId, Texture,
-    TextureKey, TextureRef, Transform, Visitor, Wrap,
+    Hierarchy, Keep, Light, LightKind, Material, MaterialKey, NodeKey, NodePath, Object, Sampler, Scene, SceneId,
+    Texture, TextureKey, TextureRef, Transform, Visitor, Wrap,
 };
 pub use math::{Aabb, Bounds};
+pub use query::{Hit, Queries, Ray, Region};
 pub use render::{DeviceChoice, Frame, FrameReport, Renderer, RendererOptions, Sky, View};
 
 /// The README's program compiles.

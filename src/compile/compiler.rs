@@ -7,7 +7,7 @@ use glam::DVec3;
 use slotmap::SecondaryMap;
 
 use super::geometry_cache::GeometryCache;
-use super::instance_table::{InstanceTable, Member, Sources};
+use super::instance_table::{InstanceSource, InstanceTable, Member, Sources};
 use super::material_table::MaterialTable;
 use super::report::{CompileReport, RebuildReason, TlasUpdate};
 use super::{Needs, pack};
@@ -112,6 +112,11 @@ impl Compiler {
     /// The render origin: the point of the scene's world at which the device's world has its origin.
     pub fn origin(&self) -> DVec3 {
         self.origin
+    }
+
+    /// What stands at a place in the `instances` array; `None` where nothing does. O(1).
+    pub fn instance(&self, slot: u32) -> Option<InstanceSource> {
+        self.instances.source(slot)
     }
 
     fn try_compile(&mut self, scene: &mut Scene, eye: DVec3) -> Result<CompileReport> {

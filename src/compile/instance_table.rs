@@ -11,8 +11,8 @@ use super::material_table::MaterialTable;
 use super::pack::Placement;
 use crate::accel::Tlas;
 use crate::device::DeviceArrays;
-use crate::device::layout::{Instance, InstanceFlags, PrimitiveRange};
-use crate::graph::{GeometryKey, Hierarchy, MaterialKey, NodeKey};
+use crate::device::layout::{Instance, InstanceFlags, NONE, PrimitiveRange};
+use crate::graph::{GeometryKey, Hierarchy, MaterialKey, NodeKey, NodePath};
 use crate::math::Aabb;
 use crate::{Error, Result};
 
@@ -26,6 +26,17 @@ pub(super) struct Member {
     pub(super) material: MaterialKey,
 }
 
+/// What an instance shows, and for which node.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct InstanceSource {
+    /// The node with the geometry core.
+    pub path: NodePath,
+    /// Its geometry.
+    pub geometry: GeometryKey,
+    /// Its material.
+    pub material: MaterialKey,
+}
+
 /// The instances, in preorder.
 #[derive(Debug, Default)]
 pub(super) struct InstanceTable {
@@ -35,6 +46,8 @@ pub(super) struct InstanceTable {
     /// World box of each member relative to the render origin; empty for one that cannot be hit.
     boxes: Vec<Aabb>,
     slot_of: SecondaryMap<NodeKey, u32>,
+    /// Member of each device slot, or [`NONE`].
+    member_of: Vec<u32>,
     free_slots: Vec<u32>,
     /// Whether `slots` or `boxes` differ from what the top level was built over.
     tlas_stale: bool,
@@ -98,6 +111,11 @@ impl InstanceTable {
         // The array ends with the last slot in use.
         let end = self.slots.iter().max().map_or(0, |&last| last + 1);
         self.free_slots.retain(|&slot| slot < end);
+        self.member_of.clear();
+        self.member_of.resize(end as usize, NONE);
+        for (member, &slot) in (0..).zip(&self.slots) {
+            self.member_of[slot as usize] = member;
+        }
         arrays.instances.truncate(end as usize);
         Ok(())
     }
@@ -119,6 +137,13 @@ impl InstanceTable {
         }
         arrays.tlas_nodes.replace(&Tlas::build(&self.boxes, &self.slots).nodes);
         true
+    }
+
+    /// What stands at a device slot.
+    pub(super) fn source(&self, slot: u32) -> Option<InstanceSource> {
+        let member = *self.member_of.get(slot as usize)?;
+        let &Member { node, geometry, material, .. } = self.members.get(member as usize)?;
+        Some(InstanceSource { path: node.into(), geometry, material })
     }
 
     /// The members, in preorder.

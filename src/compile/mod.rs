@@ -11,6 +11,7 @@ mod pack;
 mod report;
 
 pub use compiler::Compiler;
+pub use instance_table::InstanceSource;
 pub use needs::{MAX_MIRROR_ROUGHNESS, Needs};
 pub(crate) use report::seconds;
 pub use report::{CompileReport, RebuildReason, TlasUpdate};

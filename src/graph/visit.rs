@@ -52,7 +52,7 @@ impl Scene {
     ///
     /// // Counts what is shown: nothing below a hidden node is.
     /// let mut shown = 0;
-    /// let _: ControlFlow<()> = scene.visit(scene.root(), |node| match scene.visible(node) {
+    /// let _: ControlFlow<()> = scene.visit(scene.root(), |node| match scene.is_visible(node) {
     ///     Ok(true) => {
     ///         shown += 1;
     ///         Continue(Descend::Into)
