@@ -28,7 +28,7 @@ impl HalfSpace {
 /// [`View::frustum`](crate::View::frustum) makes one of what a camera sees.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Region {
-    pub(super) half_spaces: Vec<HalfSpace>,
+    half_spaces: Vec<HalfSpace>,
 }
 
 impl Region {
@@ -56,6 +56,11 @@ impl Region {
         let sides =
             DVec3::AXES.map(|axis| [HalfSpace::through(bounds.max, axis), HalfSpace::through(bounds.min, -axis)]);
         Self::new(sides.concat())
+    }
+
+    /// What it lies between.
+    pub fn half_spaces(&self) -> &[HalfSpace] {
+        &self.half_spaces
     }
 }
 
