@@ -34,7 +34,7 @@ use crate::trace::{Cpu, DeviceInfo, Emulated, FrameRequest, Tracer};
 /// scene.add(scene.root(), Core::Geometry { geometry, material })?;
 ///
 /// let mut renderer = Renderer::new(&RendererOptions { device: DeviceChoice::Cpu })?;
-/// let view = View::framing(&scene, 64, 48)?;
+/// let view = View::framing(&mut scene, 64, 48)?;
 /// let frame = renderer.render(&mut scene, &view)?;
 /// assert_eq!(frame.report().compile.blas_built, 1);
 /// assert_eq!(frame.image()?.color.len(), 64 * 48);
@@ -116,7 +116,7 @@ impl Renderer {
         view.validate()?;
 
         // 1. Catch up with the scene.
-        let compile = self.compiler.compile(scene, view.world_from_view.translation)?;
+        let compile = self.compiler.compile(scene, view.observer())?;
 
         // 2. Copy what changed.
         let upload_start = Instant::now();
@@ -173,17 +173,17 @@ impl Renderer {
     pub fn pick(&mut self, scene: &mut Scene, view: &View, [x, y]: [u32; 2]) -> Result<Option<Hit>> {
         view.validate()?;
         view.check_pixels(x..x.saturating_add(1), y..y.saturating_add(1))?;
-        self.compiler.compile(scene, view.world_from_view.translation)?;
+        self.compiler.compile(scene, view.observer())?;
         let ray = camera_ray(&view.params(self.compiler.origin(), 0), x, y);
-        Ok(Queries::new(&self.compiler).with_mask(view.ray_mask).closest_drawn(&ray))
+        Ok(Queries::compiled(&self.compiler, scene)?.with_mask(view.ray_mask).closest_drawn(&ray))
     }
 
     /// Questions to the scene as it is now, by ray, region or point. Catches up with it first.
     ///
     /// # Errors
-    /// As [`Queries::of_scene`].
-    pub fn queries(&mut self, scene: &mut Scene) -> Result<Queries<'_>> {
-        Queries::of_scene(&mut self.compiler, scene)
+    /// As [`Queries::new`].
+    pub fn queries<'a>(&'a mut self, scene: &'a mut Scene) -> Result<Queries<'a>> {
+        Queries::new(&mut self.compiler, scene)
     }
 }
 
