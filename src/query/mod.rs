@@ -105,7 +105,7 @@ impl<'a> Queries<'a> {
 
     /// The world box around all that can be found, a little larger for rounding. Empty where there is nothing. O(1).
     pub fn bounds(&self) -> Bounds {
-        let Some(root) = self.compiler.arrays().tlas_nodes.first().filter(|root| root.escape_index != 0) else {
+        let Some(root) = self.compiler.arrays().tlas_nodes.first().filter(|root| !root.is_unused()) else {
             return Bounds::EMPTY;
         };
         let relative = Bounds::from(Aabb { min: root.min.into(), max: root.max.into() });
