@@ -112,6 +112,8 @@ pub(super) struct Tree<'a> {
     pub(super) nodes: &'a SlotMap<NodeKey, Node>,
     pub(super) cores: &'a SlotMap<CoreKey, CoreSlot>,
     pub(super) geometries: &'a SlotMap<GeometryKey, Used<StoredGeometry>>,
+    /// Whether any core is an instance.
+    pub(super) has_instances: bool,
 }
 
 impl<'a> Tree<'a> {
