@@ -3,6 +3,7 @@
 use super::changes::Change;
 use super::ranges::{check_material, check_texture};
 use super::scene::stale;
+use super::store::Store;
 use super::{Core, Geometry, GeometryKey, Material, MaterialKey, Scene, Texture, TextureKey};
 use crate::Result;
 use crate::math::{Aabb, Bounds};
@@ -280,10 +281,10 @@ fn release<T>(used: &mut Used<T>) -> bool {
     used.user_count == 0
 }
 
-fn is_unused<K: slotmap::Key, T>(assets: &slotmap::SlotMap<K, Used<T>>, key: K) -> bool {
+fn is_unused<K: slotmap::Key, T>(assets: &Store<K, Used<T>>, key: K) -> bool {
     assets.get(key).is_some_and(|used| used.user_count == 0)
 }
 
-fn keys_where<K: slotmap::Key, V>(map: &slotmap::SlotMap<K, V>, condition: impl Fn(&V) -> bool) -> Vec<K> {
+fn keys_where<K: slotmap::Key, V>(map: &Store<K, V>, condition: impl Fn(&V) -> bool) -> Vec<K> {
     map.iter().filter(|(_, value)| condition(value)).map(|(key, _)| key).collect()
 }

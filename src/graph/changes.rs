@@ -9,8 +9,7 @@ use std::collections::{HashMap, HashSet, VecDeque};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Weak};
 
-use slotmap::SecondaryMap;
-
+use super::key_map::KeyMap;
 use super::validate::check;
 use super::{CoreKey, GeometryKey, MaterialKey, NodeKey, Object, SceneId, TextureKey};
 use crate::Result;
@@ -282,11 +281,11 @@ impl Segment {
 /// A place for each object. One that was never set, or was set long ago, is wrong: the reader checks what is there.
 #[derive(Debug, Default)]
 struct Places {
-    nodes: SecondaryMap<NodeKey, u32>,
-    cores: SecondaryMap<CoreKey, u32>,
-    geometries: SecondaryMap<GeometryKey, u32>,
-    materials: SecondaryMap<MaterialKey, u32>,
-    textures: SecondaryMap<TextureKey, u32>,
+    nodes: KeyMap<NodeKey, u32>,
+    cores: KeyMap<CoreKey, u32>,
+    geometries: KeyMap<GeometryKey, u32>,
+    materials: KeyMap<MaterialKey, u32>,
+    textures: KeyMap<TextureKey, u32>,
 }
 
 impl Places {

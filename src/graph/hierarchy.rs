@@ -2,13 +2,13 @@
 
 use std::ops::Range;
 
-use glam::DAffine3;
-use slotmap::{SecondaryMap, SlotMap};
-
 use super::bit_set::BitSet;
 use super::core::CoreSlot;
+use super::key_map::KeyMap;
 use super::node::Node;
+use super::store::Store;
 use super::{Core, CoreKey, NodeKey};
+use glam::DAffine3;
 
 /// All nodes of a scene in preorder: a node's subtree is a range of indices that
 /// begins with the node's own.
@@ -24,7 +24,7 @@ pub struct Hierarchy {
     worlds: Vec<DAffine3>,
     masks: Vec<u32>,
     visible: Vec<bool>,
-    indices: SecondaryMap<NodeKey, u32>,
+    indices: KeyMap<NodeKey, u32>,
     state: State,
 }
 
@@ -121,7 +121,7 @@ impl Hierarchy {
             worlds: Vec::new(),
             masks: Vec::new(),
             visible: Vec::new(),
-            indices: SecondaryMap::new(),
+            indices: KeyMap::new(),
             state: State::OutOfDate,
         }
     }
@@ -146,7 +146,7 @@ impl Hierarchy {
     }
 
     /// Shows all edits made so far.
-    pub(super) fn update(&mut self, root: NodeKey, nodes: &SlotMap<NodeKey, Node>, cores: &SlotMap<CoreKey, CoreSlot>) {
+    pub(super) fn update(&mut self, root: NodeKey, nodes: &Store<NodeKey, Node>, cores: &Store<CoreKey, CoreSlot>) {
         match std::mem::replace(&mut self.state, State::OutOfDate) {
             State::OutOfDate => {
                 self.rebuild(root, nodes, cores);
@@ -182,7 +182,7 @@ impl Hierarchy {
         (0..longer.nodes.len()).find(|&i| !same(i)).map(|i| longer.nodes[i])
     }
 
-    fn rebuild(&mut self, root: NodeKey, nodes: &SlotMap<NodeKey, Node>, cores: &SlotMap<CoreKey, CoreSlot>) {
+    fn rebuild(&mut self, root: NodeKey, nodes: &Store<NodeKey, Node>, cores: &Store<CoreKey, CoreSlot>) {
         self.clear(nodes.len());
         let (mut current, mut parent) = (root, Self::NO_PARENT);
         'down: loop {

@@ -2,13 +2,12 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use slotmap::SlotMap;
-
 use super::assets::{StoredGeometry, Used};
 use super::changes::{Change, ChangeLog, Changes, Cursor};
 use super::core::CoreSlot;
 use super::hierarchy::Hierarchy;
 use super::node::Node;
+use super::store::Store;
 use super::{Core, CoreKey, GeometryKey, Material, MaterialKey, NodeKey, Object, Texture, TextureKey};
 use crate::{Error, Result};
 
@@ -59,11 +58,11 @@ use crate::{Error, Result};
 pub struct Scene {
     id: SceneId,
     pub(super) root: NodeKey,
-    pub(super) nodes: SlotMap<NodeKey, Node>,
-    pub(super) cores: SlotMap<CoreKey, CoreSlot>,
-    pub(super) geometries: SlotMap<GeometryKey, Used<StoredGeometry>>,
-    pub(super) materials: SlotMap<MaterialKey, Used<Material>>,
-    pub(super) textures: SlotMap<TextureKey, Used<Texture>>,
+    pub(super) nodes: Store<NodeKey, Node>,
+    pub(super) cores: Store<CoreKey, CoreSlot>,
+    pub(super) geometries: Store<GeometryKey, Used<StoredGeometry>>,
+    pub(super) materials: Store<MaterialKey, Used<Material>>,
+    pub(super) textures: Store<TextureKey, Used<Texture>>,
     pub(super) log: ChangeLog,
     pub(super) hierarchy: Hierarchy,
     revision: u64,
@@ -85,16 +84,16 @@ impl Scene {
     pub fn new() -> Self {
         static NEXT_ID: AtomicU64 = AtomicU64::new(0);
 
-        let (mut nodes, mut cores) = (SlotMap::with_key(), SlotMap::with_key());
+        let (mut nodes, mut cores) = (Store::new(), Store::new());
         let core = cores.insert(CoreSlot::new(Core::Group));
         let mut scene = Self {
             id: SceneId(NEXT_ID.fetch_add(1, Ordering::Relaxed)),
             root: nodes.insert(Node::new(core)),
             nodes,
             cores,
-            geometries: SlotMap::with_key(),
-            materials: SlotMap::with_key(),
-            textures: SlotMap::with_key(),
+            geometries: Store::new(),
+            materials: Store::new(),
+            textures: Store::new(),
             log: ChangeLog::default(),
             hierarchy: Hierarchy::new(),
             revision: 0,
