@@ -48,14 +48,16 @@ pub mod image;
 pub mod math;
 pub mod render;
 pub mod trace;
+mod whole_file;
 
 pub use error::{Error, Result};
 /// The vectors, quaternions and matrices of this interface.
 pub use glam;
 pub use graph::{
-    AlphaMode, Camera, Change, Changes, Core, CoreKey, CoreSource, Cursor, Filter, Geometry, GeometryKey, Hierarchy,
-    Keep, Light, LightKind, Material, MaterialKey, NodeKey, Object, Sampler, Scene, SceneId, Texture, TextureKey,
-    TextureRef, Transform, Wrap,
+    AlphaMode, Camera, Change, Changes, Core, CoreKey, CoreSource, Cursor, Delta, EditQueue, EditSender, Filter,
+    Geometry, GeometryKey, Hierarchy, Keep, Light, LightKind, Material, MaterialKey, NodeKey, NodeState, Object,
+    Pending, Recorder, Replay, Sampler, Scene, SceneFileFault, SceneId, State, Texture, TextureKey, TextureRef,
+    Transform, Wrap,
 };
 pub use math::{Aabb, Bounds};
 pub use render::{DeviceChoice, Frame, FrameReport, Renderer, RendererOptions, Sky, View};

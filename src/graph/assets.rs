@@ -17,7 +17,7 @@ pub(super) struct Used<T> {
 }
 
 impl<T> Used<T> {
-    fn new(value: T) -> Self {
+    pub(super) fn new(value: T) -> Self {
         Self { value, user_count: 0 }
     }
 }
@@ -26,8 +26,8 @@ impl<T> Used<T> {
 #[derive(Debug)]
 pub(super) struct StoredGeometry {
     pub(super) geometry: Geometry,
-    /// How often it was replaced.
-    version: u64,
+    /// Higher for each that the key has named.
+    pub(super) version: u64,
     /// The box around its triangles; vertices that none of them uses do not count.
     pub(super) bounds: Bounds,
 }
@@ -36,9 +36,14 @@ impl StoredGeometry {
     /// Checks and measures a geometry.
     fn new(geometry: Geometry, version: u64) -> Result<Self> {
         geometry.validate()?;
+        Ok(Self::of_valid(geometry, version))
+    }
+
+    /// Measures a geometry that was checked.
+    pub(super) fn of_valid(geometry: Geometry, version: u64) -> Self {
         let corners = geometry.indices.iter().flatten().map(|&vertex| geometry.positions[vertex as usize]);
         let bounds = Aabb::from_points(corners).into();
-        Ok(Self { geometry, version, bounds })
+        Self { geometry, version, bounds }
     }
 }
 
@@ -62,7 +67,8 @@ impl Scene {
         Ok(&self.stored_geometry(key)?.geometry)
     }
 
-    /// How often the geometry was replaced: what is derived from one version of one key stays right.
+    /// Higher each time the geometry was replaced, by one or more: what is derived from one version of one key stays
+    /// right.
     ///
     /// # Errors
     /// [`Error::StaleKey`](crate::Error::StaleKey).
@@ -91,7 +97,9 @@ impl Scene {
     pub fn set_geometry(&mut self, key: GeometryKey, geometry: Geometry) -> Result<()> {
         let old = self.stored_geometry(key)?;
         if old.geometry != geometry {
-            self.geometries[key].value = StoredGeometry::new(geometry, old.version + 1)?;
+            let new = StoredGeometry::new(geometry, old.version + 1)?;
+            self.touch(key);
+            self.geometries[key].value = new;
             self.record(key, Change::DATA);
         }
         Ok(())
@@ -131,6 +139,7 @@ impl Scene {
         if *self.material(key)? != material {
             self.check_material(&material)?;
             self.acquire_textures(&material);
+            self.touch(key);
             let old = std::mem::replace(&mut self.materials[key].value, material);
             self.record(key, Change::DATA);
             self.release_textures(&old);
@@ -169,6 +178,7 @@ impl Scene {
     pub fn set_texture(&mut self, key: TextureKey, texture: Texture) -> Result<()> {
         if *self.texture(key)? != texture {
             check_texture(&texture)?;
+            self.touch(key);
             self.textures[key].value = texture;
             self.record(key, Change::DATA);
         }
@@ -236,13 +246,13 @@ impl Scene {
         self.geometries.get(key).map(|used| &used.value).ok_or_else(|| stale(key))
     }
 
-    fn acquire_textures(&mut self, material: &Material) {
+    pub(super) fn acquire_textures(&mut self, material: &Material) {
         for texture in material.textures() {
             self.textures[texture.texture].user_count += 1;
         }
     }
 
-    fn release_textures(&mut self, material: &Material) {
+    pub(super) fn release_textures(&mut self, material: &Material) {
         for texture in material.textures() {
             if release(&mut self.textures[texture.texture]) {
                 self.free_texture(texture.texture);
@@ -251,11 +261,19 @@ impl Scene {
     }
 
     fn free_geometry(&mut self, key: GeometryKey) {
+        if self.keeps_unused {
+            return;
+        }
+        self.touch(key);
         self.geometries.remove(key);
         self.record(key, Change::REMOVED);
     }
 
     fn free_material(&mut self, key: MaterialKey) {
+        if self.keeps_unused {
+            return;
+        }
+        self.touch(key);
         if let Some(used) = self.materials.remove(key) {
             self.record(key, Change::REMOVED);
             self.release_textures(&used.value);
@@ -263,6 +281,10 @@ impl Scene {
     }
 
     fn free_texture(&mut self, key: TextureKey) {
+        if self.keeps_unused {
+            return;
+        }
+        self.touch(key);
         self.textures.remove(key);
         self.record(key, Change::REMOVED);
     }

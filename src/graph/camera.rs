@@ -1,9 +1,11 @@
 //! Cameras: the projections of glTF.
 
+use serde::{Deserialize, Serialize};
+
 /// A camera at its node's origin that looks along the node's -Z axis with +Y up.
 ///
 /// Ray tracing needs no clip planes: whatever is in front of the camera is seen.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Camera {
     /// Objects shrink with distance.
     Perspective {

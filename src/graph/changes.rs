@@ -16,6 +16,7 @@ use crate::Result;
 
 bitflags::bitflags! {
     /// What changed in an object. [`ADDED`](Self::ADDED) and [`REMOVED`](Self::REMOVED) stand alone: they say it all.
+    /// An object that went and came back under its key, as by undo, has all other flags.
     #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
     pub struct Change: u16 {
         /// The object is new.
@@ -48,6 +49,8 @@ impl Change {
             (true, true) => Self::empty(),
             (true, false) => Self::ADDED,
             (false, true) => Self::REMOVED,
+            // It went and came back: whatever it has may be another.
+            (false, false) if self.contains(Self::REMOVED) => Self::all().difference(Self::ADDED | Self::REMOVED),
             (false, false) => self | later,
         }
     }

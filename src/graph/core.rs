@@ -1,9 +1,11 @@
 //! Cores: what a node is. Nodes that share a core share its edits.
 
+use serde::{Deserialize, Serialize};
+
 use super::{Camera, CoreKey, GeometryKey, Light, MaterialKey, NodeKey, Transform};
 
 /// What a node is.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum Core {
     /// Nothing but the parent of its children.

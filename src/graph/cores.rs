@@ -65,6 +65,7 @@ impl Scene {
             _ => {}
         }
         let new = self.obtain_core(source)?;
+        self.touch(node);
         self.unlink_user(node, old);
         self.link_user(node, new);
         self.node_changed(node);
@@ -87,6 +88,14 @@ impl Scene {
         }
         self.check_core(&core)?;
         self.acquire_assets(&core);
+        let old = self.replace_core(key, core);
+        self.release_assets(&old);
+        Ok(())
+    }
+
+    /// Puts another core, whose assets count it, in the place of one, which it gives back.
+    pub(super) fn replace_core(&mut self, key: CoreKey, core: Core) -> Core {
+        self.touch(key);
         let old = std::mem::replace(&mut self.cores[key].core, core);
         let new = &self.cores[key].core;
         let moves = matches!(old, Core::Transform(_)) || matches!(new, Core::Transform(_));
@@ -100,8 +109,7 @@ impl Scene {
             self.users_moved(key);
         }
         self.record(key, change);
-        self.release_assets(&old);
-        Ok(())
+        old
     }
 
     /// The transform of a transform node into its parent's space.
@@ -142,9 +150,11 @@ impl Scene {
 
     /// Frees a core that lost a user, if it was the last.
     pub(super) fn release_core_if_unused(&mut self, key: CoreKey) {
-        if self.cores[key].user_count == 0
-            && let Some(slot) = self.cores.remove(key)
-        {
+        if self.cores[key].user_count > 0 {
+            return;
+        }
+        self.touch(key);
+        if let Some(slot) = self.cores.remove(key) {
             self.record(key, Change::REMOVED);
             self.release_assets(&slot.core);
         }

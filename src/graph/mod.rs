@@ -22,6 +22,7 @@ mod ranges;
 mod scene;
 mod store;
 mod structure;
+mod transfer;
 mod transform;
 mod validate;
 
@@ -36,4 +37,5 @@ pub use material::{AlphaMode, Filter, Material, Sampler, Texture, TextureRef, Wr
 pub use node::Keep;
 pub use query::{Ancestors, Children, Descendants, Users};
 pub use scene::{Scene, SceneId};
+pub use transfer::{Delta, EditQueue, EditSender, NodeState, Pending, Recorder, Replay, SceneFileFault, State};
 pub use transform::Transform;

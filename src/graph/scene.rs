@@ -8,6 +8,7 @@ use super::core::CoreSlot;
 use super::hierarchy::Hierarchy;
 use super::node::Node;
 use super::store::Store;
+use super::transfer::Journal;
 use super::{Core, CoreKey, GeometryKey, Material, MaterialKey, NodeKey, Object, Texture, TextureKey};
 use crate::{Error, Result};
 
@@ -65,6 +66,9 @@ pub struct Scene {
     pub(super) textures: Store<TextureKey, Used<Texture>>,
     pub(super) log: ChangeLog,
     pub(super) hierarchy: Hierarchy,
+    pub(super) journal: Journal,
+    /// Whether what has lost its last user stays.
+    pub(super) keeps_unused: bool,
     revision: u64,
 }
 
@@ -96,6 +100,8 @@ impl Scene {
             textures: Store::new(),
             log: ChangeLog::default(),
             hierarchy: Hierarchy::new(),
+            journal: Journal::default(),
+            keeps_unused: false,
             revision: 0,
         };
         scene.link_user(scene.root, core);
@@ -205,8 +211,12 @@ impl Scene {
 
     /// Counts and logs one change.
     pub(super) fn record(&mut self, object: impl Into<Object>, change: Change) {
+        let object = object.into();
         self.revision += 1;
-        self.log.record(object.into(), change);
+        self.log.record(object, change);
+        if change == Change::ADDED {
+            self.touch_new(object);
+        }
     }
 
     pub(super) fn node(&self, key: NodeKey) -> Result<&Node> {

@@ -122,6 +122,7 @@ impl Scene {
     pub fn set_name(&mut self, node: NodeKey, name: impl Into<Box<str>>) -> Result<()> {
         let name = name.into();
         if *self.node(node)?.name != *name {
+            self.touch(node);
             self.nodes[node].name = name;
             self.record(node, Change::NAME);
         }
@@ -143,6 +144,7 @@ impl Scene {
     /// [`Error::StaleKey`].
     pub fn set_mask(&mut self, node: NodeKey, mask: u32) -> Result<()> {
         if self.node(node)?.mask != mask {
+            self.touch(node);
             self.nodes[node].mask = mask;
             self.node_changed(node);
             self.record(node, Change::MASK);
@@ -164,6 +166,7 @@ impl Scene {
     /// [`Error::StaleKey`].
     pub fn set_visible(&mut self, node: NodeKey, visible: bool) -> Result<()> {
         if self.node(node)?.visible != visible {
+            self.touch(node);
             self.nodes[node].visible = visible;
             self.node_changed(node);
             self.record(node, Change::VISIBILITY);
@@ -191,6 +194,7 @@ impl Scene {
 
     /// Frees an unlinked node and its use of its core.
     fn release_node(&mut self, node: NodeKey) {
+        self.touch(node);
         self.record(node, Change::REMOVED);
         let core = self.nodes[node].core;
         self.unlink_user(node, core);
