@@ -50,11 +50,11 @@ impl<K: Key, V> KeyMap<K, V> {
         self.places.get(slot)?.as_ref().map(|(generation, _)| key_of(slot, *generation))
     }
 
-    /// Puts a value in the place of the key's slot. What was there goes, of whatever generation. Does nothing for the
+    /// Puts a value in the place of the key's slot. Gives what was there, of whatever generation. Does nothing for the
     /// null key. O(1), or O(slot) beyond the last.
-    pub(crate) fn insert(&mut self, key: K, value: V) {
+    pub(crate) fn insert(&mut self, key: K, value: V) -> Option<(K, V)> {
         if key.is_null() {
-            return;
+            return None;
         }
         let (slot, generation) = (slot(key), NonZeroU32::new(generation(key)));
         if slot >= self.places.len() {
@@ -62,6 +62,7 @@ impl<K: Key, V> KeyMap<K, V> {
         }
         let old = std::mem::replace(&mut self.places[slot], generation.map(|generation| (generation, value)));
         self.len += usize::from(old.is_none());
+        old.map(|(generation, value)| (key_of(slot, generation), value))
     }
 
     pub(crate) fn remove(&mut self, key: K) -> Option<V> {
