@@ -39,6 +39,8 @@ bitflags::bitflags! {
         const DATA = 256;
         /// A core's kind: a geometry became a light, say. Its data changed with it.
         const KIND = 512;
+        /// A node's children: one came, went or changed places.
+        const CHILDREN = 1024;
     }
 }
 
@@ -136,7 +138,9 @@ impl ChangeLog {
     /// Allocates what recording changes of objects up to these takes.
     pub(super) fn make_room(&mut self, last_node: Option<NodeKey>, last_core: Option<CoreKey>) {
         let last = [last_node.map(Object::from), last_core.map(Object::from)];
-        last.into_iter().flatten().for_each(|object| drop(self.places.set(object, 0)));
+        last.into_iter().flatten().for_each(|object| {
+            self.places.set(object, 0);
+        });
     }
 
     /// The start of an open segment without entries.

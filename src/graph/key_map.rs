@@ -71,11 +71,6 @@ impl<K: Key, V> KeyMap<K, V> {
         self.places[slot(key)].take().map(|(_, value)| value)
     }
 
-    /// Makes room for slots below `capacity`.
-    pub(crate) fn set_capacity(&mut self, capacity: usize) {
-        self.places.reserve((capacity + 1).saturating_sub(self.places.len()));
-    }
-
     /// All keys with their values, by rising slot. O(slots).
     pub(crate) fn iter(&self) -> impl DoubleEndedIterator<Item = (K, &V)> + Clone {
         self.places.iter().enumerate().filter_map(|(slot, place)| {

@@ -1,11 +1,12 @@
 //! The scene: owner of all nodes, cores, geometries, materials and textures.
 
+use std::collections::HashMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::assets::{StoredGeometry, Used};
 use super::changes::{Change, ChangeLog, Changes, Cursor};
 use super::core::CoreSlot;
-use super::hierarchy::Hierarchy;
+use super::hierarchy::{Hierarchy, Tree};
 use super::node::Node;
 use super::store::Store;
 use super::transfer::Journal;
@@ -69,6 +70,8 @@ pub struct Scene {
     pub(super) journal: Journal,
     /// Whether what has lost its last user stays.
     pub(super) keeps_unused: bool,
+    /// The cores that instance each node.
+    pub(super) instancers: HashMap<NodeKey, Vec<CoreKey>>,
     revision: u64,
 }
 
@@ -99,9 +102,10 @@ impl Scene {
             materials: Store::new(),
             textures: Store::new(),
             log: ChangeLog::default(),
-            hierarchy: Hierarchy::new(),
+            hierarchy: Hierarchy::default(),
             journal: Journal::default(),
             keeps_unused: false,
+            instancers: HashMap::new(),
             revision: 0,
         };
         scene.link_user(scene.root, core);
@@ -197,16 +201,34 @@ impl Scene {
         changes
     }
 
-    /// Brings the preorder arrays up to date and gives them out. O(1) where nothing changed, O(subtrees changed) after
-    /// changes of transforms, masks and visibility, O(nodes) after structural changes.
-    pub fn hierarchy(&mut self) -> &Hierarchy {
-        self.with_hierarchy().1
+    /// Brings the flattened arrays up to date and gives them out. O(1) where nothing changed, else O(what changed) with
+    /// all below it, amortised.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] if instances of instances make more than [`Hierarchy::MAX_INSTANCED`] entries.
+    pub fn hierarchy(&mut self) -> Result<&Hierarchy> {
+        Ok(self.with_hierarchy()?.1)
     }
 
     /// As [`hierarchy`](Self::hierarchy), together with the scene that it describes.
-    pub fn with_hierarchy(&mut self) -> (&Self, &Hierarchy) {
-        self.hierarchy.update(self.root, &self.nodes, &self.cores);
-        (self, &self.hierarchy)
+    ///
+    /// # Errors
+    /// As [`hierarchy`](Self::hierarchy).
+    pub fn with_hierarchy(&mut self) -> Result<(&Self, &Hierarchy)> {
+        let (hierarchy, tree) = self.hierarchy_and_tree();
+        hierarchy.update(tree)?;
+        Ok((self, &self.hierarchy))
+    }
+
+    /// The hierarchy, and what it shows.
+    pub(super) fn hierarchy_and_tree(&mut self) -> (&mut Hierarchy, Tree<'_>) {
+        let Self { root, nodes, cores, geometries, .. } = self;
+        (&mut self.hierarchy, Tree { root: *root, nodes, cores, geometries })
+    }
+
+    /// What a hierarchy shows.
+    pub(super) fn tree(&self) -> Tree<'_> {
+        Tree { root: self.root, nodes: &self.nodes, cores: &self.cores, geometries: &self.geometries }
     }
 
     /// Counts and logs one change.

@@ -181,7 +181,7 @@ fn damaged_deltas() {
         match target.apply(&forge(&objects)) {
             Ok(()) => {
                 applied.set(applied.get() + 1);
-                target.hierarchy();
+                let _ = target.hierarchy();
                 target.validate().unwrap();
                 target.undo().unwrap();
             }

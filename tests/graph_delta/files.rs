@@ -133,7 +133,7 @@ fn tampered_files() {
         match Scene::load(&path) {
             Ok(mut scene) => {
                 loaded.set(loaded.get() + 1);
-                scene.hierarchy();
+                let _ = scene.hierarchy();
                 scene.validate().unwrap();
                 let again = save(&scene, &path);
                 assert!(content(&Scene::load(&path).unwrap()) == content(&scene));

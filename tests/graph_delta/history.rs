@@ -43,7 +43,8 @@ fn removed_objects_come_back_under_their_keys_with_their_streams() {
     let mut scene = Scene::new();
     let geometry = scene.add_geometry(Geometry::new([Vec3::ZERO, Vec3::X, Vec3::Y], [[0, 1, 2]])).unwrap();
     let material = scene.add_material(Material::default()).unwrap();
-    let nodes: Vec<_> = (0..3).map(|_| scene.add(scene.root(), Core::Geometry { geometry, material }).unwrap()).collect();
+    let nodes: Vec<_> =
+        (0..3).map(|_| scene.add(scene.root(), Core::Geometry { geometry, material }).unwrap()).collect();
     let streams = scene.geometry(geometry).unwrap().clone();
     let version = scene.geometry_version(geometry).unwrap();
     let before = content(&scene);
@@ -56,7 +57,10 @@ fn removed_objects_come_back_under_their_keys_with_their_streams() {
     scene.reparent(others[0], others[1], Keep::Local).unwrap();
     scene.undo().unwrap();
     assert_eq!(content(&scene), before);
-    assert!(std::sync::Arc::ptr_eq(&streams.positions, &scene.geometry(geometry).unwrap().positions), "shared, not copied");
+    assert!(
+        std::sync::Arc::ptr_eq(&streams.positions, &scene.geometry(geometry).unwrap().positions),
+        "shared, not copied"
+    );
     assert!(scene.geometry_version(geometry).unwrap() > version, "what was derived from another version is not taken");
     assert!(scene.geometry(newcomer).is_err() && !scene.contains(others[0]));
 

@@ -35,7 +35,9 @@ fn edit(scene: &mut Scene, nodes: &mut Vec<NodeKey>, frame: usize) {
         nodes.retain(|&node| scene.contains(node));
         let names = |name| nodes.iter().filter(|&&node| scene.name(node).unwrap() == name).count();
         let (even, odd) = (names("even"), names("odd"));
-        for name in std::iter::repeat_n("even", odd.saturating_sub(even)).chain(std::iter::repeat_n("odd", even.saturating_sub(odd))) {
+        for name in std::iter::repeat_n("even", odd.saturating_sub(even))
+            .chain(std::iter::repeat_n("odd", even.saturating_sub(odd)))
+        {
             let node = scene.add(scene.root(), Core::Group).unwrap();
             scene.set_name(node, name).unwrap();
             nodes.push(node);
@@ -48,9 +50,10 @@ fn follow(deltas: &Receiver<Delta>) -> (Scene, usize) {
     let (mut replica, mut frames) = (Scene::new(), 0);
     while let Ok(delta) = deltas.recv() {
         replica.apply(&delta).unwrap();
-        let named = |name| replica.descendants(replica.root()).unwrap().filter(|&n| replica.name(n).unwrap() == name).count();
+        let named =
+            |name| replica.descendants(replica.root()).unwrap().filter(|&n| replica.name(n).unwrap() == name).count();
         assert_eq!(named("even"), named("odd"), "half a frame was seen");
-        replica.hierarchy();
+        replica.hierarchy().unwrap();
         frames += 1;
     }
     (replica, frames)
@@ -99,7 +102,7 @@ fn replicas_on_threads_see_whole_frames() {
 fn a_replica_is_drawn_while_the_scene_is_edited() {
     let options = RendererOptions { device: DeviceChoice::Cpu, ..RendererOptions::default() };
     let mut scene = sample();
-    let view = View::framing(&scene, 32, 24).unwrap();
+    let view = View::framing(&mut scene, 32, 24).unwrap();
     let expected = Renderer::new(&options).unwrap().render(&mut scene, &view).unwrap().image().unwrap().color.clone();
 
     let (deltas, received) = channel::<Delta>();

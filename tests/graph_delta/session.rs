@@ -21,12 +21,20 @@ const MIRRORS: usize = 2;
 enum Step {
     Edit(RawEdit),
     /// Edits that are committed or not, the inner ones in a transaction of their own.
-    Transaction { outer: Vec<RawEdit>, inner: Vec<RawEdit>, keep_outer: bool, keep_inner: bool },
+    Transaction {
+        outer: Vec<RawEdit>,
+        inner: Vec<RawEdit>,
+        keep_outer: bool,
+        keep_inner: bool,
+    },
     EndGroup,
     Undo,
     Redo,
     /// Bring a mirror up to date, through bytes or not.
-    Sync { mirror: usize, as_bytes: bool },
+    Sync {
+        mirror: usize,
+        as_bytes: bool,
+    },
     /// Give a mirror a new cursor: it gets everything, though it is not empty.
     Restart(usize),
     /// Bring the hierarchy up to date.
@@ -67,6 +75,7 @@ struct Session {
     /// Of the first mirror.
     second_hand: (Scene, Cursor),
     compiler: Compiler,
+    compiled_instances: usize,
 }
 
 impl Session {
@@ -85,6 +94,7 @@ impl Session {
             mirrors: std::array::from_fn(|_| (Scene::new(), Cursor::default())),
             second_hand: (Scene::new(), Cursor::default()),
             compiler: Compiler::new(),
+            compiled_instances: 0,
         }
     }
 
@@ -99,10 +109,13 @@ impl Session {
             Step::Redo => self.redo(),
             Step::Sync { mirror, as_bytes } => self.sync(*mirror, *as_bytes),
             Step::Restart(mirror) => self.mirrors[*mirror].1 = Cursor::default(),
-            Step::Update => compare::hierarchy(&mut self.scene, &self.model),
+            Step::Update => {
+                compare::hierarchy(&mut self.scene, &self.model);
+                compare::boxes(&mut self.scene, &self.model);
+            }
             Step::Compile => self.compile(),
         }
-        compare::state(&self.scene, &self.model, &self.issued);
+        compare::state(&mut self.scene, &self.model, &self.issued);
     }
 
     fn edit(&mut self, raw: &RawEdit) {
@@ -212,6 +225,7 @@ impl Session {
         fresh.compile(&mut self.scene, DVec3::Z).unwrap();
         let difference = Canonical::of(self.compiler.arrays()).difference(&Canonical::of(fresh.arrays()));
         assert_eq!(difference, None, "edit by edit, and from nothing");
+        self.compiled_instances += Canonical::of(fresh.arrays()).instance_count();
     }
 
     /// Back to the beginning, and forth to the end.
@@ -221,16 +235,16 @@ impl Session {
         let count = self.undo.len();
         for _ in 0..count {
             self.undo();
-            compare::state(&self.scene, &self.model, &self.issued);
+            compare::state(&mut self.scene, &self.model, &self.issued);
         }
         assert_eq!(self.scene.next_undo(), None);
         assert_eq!(content(&self.scene), content(&Scene::new()));
         for _ in 0..count {
             self.redo();
-            compare::state(&self.scene, &self.model, &self.issued);
+            compare::state(&mut self.scene, &self.model, &self.issued);
         }
         assert_eq!(content(&self.scene), end_content);
-        compare::state(&self.scene, &end, &self.issued);
+        compare::state(&mut self.scene, &end, &self.issued);
         for mirror in 0..MIRRORS {
             self.sync(mirror, mirror == 0);
         }
@@ -257,11 +271,15 @@ fn sessions_equal_their_models() {
             *seen.borrow_mut().entry(kind).or_default() += 1;
         }
         session.there_and_back();
+        *seen.borrow_mut().entry("instance").or_default() += session.compiled_instances;
         let nodes: HashSet<_> = session.issued.nodes.iter().collect();
         assert_eq!(nodes.len(), session.issued.nodes.len(), "a key was given out twice");
         Ok(())
     });
     outcome.unwrap_or_else(|failure| panic!("{failure}"));
     let seen = seen.into_inner();
-    assert!(["undo", "redo", "sync"].iter().all(|kind| seen.get(kind).is_some_and(|&count| count > 100)), "{seen:?}");
+    assert!(
+        ["undo", "redo", "sync", "instance"].iter().all(|kind| seen.get(kind).is_some_and(|&count| count > 100)),
+        "{seen:?}"
+    );
 }

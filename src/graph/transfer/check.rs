@@ -191,7 +191,7 @@ impl After<'_> {
         }
         for (object, _) in self.delta.objects().filter(|(object, state)| state.is_none() && self.scene.has(*object)) {
             let user_count = match object {
-                Object::Node(_) => continue,
+                Object::Node(key) => self.scene.instancers.get(&key).map_or(0, Vec::len),
                 Object::Core(key) => self.scene.cores[key].user_count,
                 Object::Geometry(key) => self.scene.geometries[key].user_count,
                 Object::Material(key) => self.scene.materials[key].user_count,
@@ -217,32 +217,88 @@ impl After<'_> {
         Ok(())
     }
 
-    /// Whether all nodes that move end up below the root.
+    /// Whether no node comes to be below itself, or to be shown by an instance below it. O(all above what moves), and
+    /// O(instances) if there are any.
     fn check_cycles(&self) -> Result<()> {
-        let mut below_root = HashSet::from([self.scene.root]);
-        let mut path = Vec::new();
-        let mut on_path = HashSet::new();
-        for (object, _) in self.delta.objects() {
-            let Object::Node(moved) = object else { continue };
-            let old_parent = self.scene.nodes.get(moved).and_then(|node| node.parent);
-            if !self.has(object) || self.parent(moved) == old_parent {
-                continue;
-            }
-            let mut node = moved;
-            while !below_root.contains(&node) {
-                if !on_path.insert(node) {
-                    return Err(Error::Cycle { node: moved.into(), parent: node.into() });
+        enum Visit {
+            Enter(NodeKey),
+            Leave(NodeKey),
+        }
+        let starts = self.ends_of_new_links();
+        let shown_by = if starts.is_empty() { HashMap::new() } else { self.nodes_that_instance() };
+        let (mut done, mut path) = (HashSet::from([self.scene.root]), HashSet::new());
+        for start in starts {
+            let mut open = vec![Visit::Enter(start)];
+            while let Some(visit) = open.pop() {
+                match visit {
+                    Visit::Leave(node) => {
+                        path.remove(&node);
+                        done.insert(node);
+                    }
+                    Visit::Enter(node) if done.contains(&node) => {}
+                    Visit::Enter(node) if !path.insert(node) => {
+                        return Err(Error::Cycle { node: start.into(), parent: node.into() });
+                    }
+                    Visit::Enter(node) => {
+                        open.push(Visit::Leave(node));
+                        let above =
+                            self.parent(node).into_iter().chain(shown_by.get(&node).into_iter().flatten().copied());
+                        open.extend(above.map(Visit::Enter));
+                    }
                 }
-                path.push(node);
-                match self.parent(node) {
-                    Some(parent) => node = parent,
-                    None => break,
-                }
             }
-            on_path.clear();
-            below_root.extend(path.drain(..));
         }
         Ok(())
+    }
+
+    /// Of each new link between a node and its parent or its instance, the node. Each cycle has one.
+    fn ends_of_new_links(&self) -> Vec<NodeKey> {
+        let mut ends = Vec::new();
+        for (object, state) in self.delta.objects() {
+            match (object, state) {
+                (Object::Node(key), Some(State::Node(state))) => {
+                    let old = self.scene.nodes.get(key);
+                    if old.is_none_or(|old| old.parent != state.parent) {
+                        ends.push(key);
+                    }
+                    if old.is_none_or(|old| old.core != state.core) {
+                        ends.extend(self.core(state.core).and_then(Core::target));
+                    }
+                }
+                (_, Some(State::Core(core))) => ends.extend(core.target()),
+                _ => {}
+            }
+        }
+        ends
+    }
+
+    /// The nodes with cores that instance each node.
+    fn nodes_that_instance(&self) -> HashMap<NodeKey, Vec<NodeKey>> {
+        let old = self.scene.instancers.values().flatten().copied();
+        let new = self.delta.objects().filter_map(|(object, _)| match object {
+            Object::Core(key) => Some(key),
+            _ => None,
+        });
+        let cores = old.chain(new);
+        let targets: HashMap<CoreKey, NodeKey> =
+            cores.filter_map(|key| Some((key, self.core(key)?.target()?))).collect();
+
+        let stays = |user: &NodeKey| self.delta.get((*user).into()).is_none();
+        let old = targets.keys().flat_map(|&key| {
+            let users = self.scene.users(key).into_iter().flatten();
+            users.filter(stays).map(move |user| (user, key))
+        });
+        let new = self.delta.objects().filter_map(|(object, state)| match (object, state) {
+            (Object::Node(key), Some(State::Node(state))) => Some((key, state.core)),
+            _ => None,
+        });
+        let mut instancing: HashMap<NodeKey, Vec<NodeKey>> = HashMap::new();
+        for (user, core) in old.chain(new) {
+            if let Some(&target) = targets.get(&core) {
+                instancing.entry(target).or_default().push(user);
+            }
+        }
+        instancing
     }
 }
 

@@ -123,7 +123,7 @@ impl Scene {
     ///         for delta in received.try_iter() {
     ///             replica.apply(&delta)?;
     ///         }
-    ///         let view = View::framing(&replica, 8, 8)?;
+    ///         let view = View::framing(&mut replica, 8, 8)?;
     ///         renderer.render(&mut replica, &view)?;
     ///     }
     ///     Ok(replica.node_count())
@@ -144,10 +144,14 @@ impl Scene {
     pub fn delta_since(&mut self, cursor: &mut Cursor) -> Delta {
         match self.changes_since(cursor) {
             Changes::Everything => self.snapshot(),
-            Changes::Since(changes) => Delta::new(changes.into_iter().map(|(object, change)| {
-                let is_gone = change.contains(Change::REMOVED);
-                (object, if is_gone { None } else { self.state(object) })
-            })),
+            Changes::Since(changes) => {
+                // The children say themselves where they are.
+                let changes = changes.into_iter().filter(|(_, change)| *change != Change::CHILDREN);
+                Delta::new(changes.map(|(object, change)| {
+                    let is_gone = change.contains(Change::REMOVED);
+                    (object, if is_gone { None } else { self.state(object) })
+                }))
+            }
         }
     }
 

@@ -5,6 +5,7 @@ use super::{NodeState, State};
 use crate::graph::assets::{StoredGeometry, Used};
 use crate::graph::changes::Change;
 use crate::graph::core::CoreSlot;
+use crate::graph::cores::Structural;
 use crate::graph::node::Node;
 use crate::graph::{Core, CoreKey, Geometry, GeometryKey, Material, MaterialKey, NodeKey, Object};
 use crate::graph::{Scene, Texture, TextureKey};
@@ -19,6 +20,7 @@ impl Scene {
             self.end_uses(object, state);
         }
         // 2. Take out what goes, so that slots are vacant.
+        self.uproot_removed(delta);
         for (object, _) in delta.objects().filter(|(_, state)| state.is_none()) {
             self.take_out(object);
         }
@@ -56,7 +58,7 @@ impl Scene {
                 if !matches!(state, Some(State::Core(new)) if new == core) {
                     let core = core.clone();
                     self.touch(key);
-                    self.release_assets(&core);
+                    self.release_assets(key, &core);
                 }
             }
             (Object::Material(key), state) if self.materials.contains_key(key) => {
@@ -71,6 +73,19 @@ impl Scene {
         }
     }
 
+    /// Tells the hierarchy of the nodes that go: those whose parents stay say it for all below them.
+    fn uproot_removed(&mut self, delta: &Delta) {
+        let goes = |node: NodeKey| matches!(delta.get(node.into()), Some(None));
+        for (object, _) in delta.objects() {
+            if let Object::Node(key) = object
+                && goes(key)
+                && self.nodes.get(key).is_some_and(|node| node.parent.is_some_and(|parent| !goes(parent)))
+            {
+                self.hierarchy.subtree_removed(key);
+            }
+        }
+    }
+
     fn take_out(&mut self, object: Object) {
         if !self.has(object) {
             return;
@@ -82,9 +97,10 @@ impl Scene {
                 while let Some(child) = self.nodes[key].first_child {
                     self.unlink_child(child);
                 }
+                let parent = self.nodes[key].parent;
                 self.unlink_child(key);
                 self.nodes.remove(key);
-                self.hierarchy.structure_changed();
+                parent.into_iter().for_each(|parent| self.children_changed(parent));
             }
             Object::Core(key) => drop(self.cores.remove(key)),
             Object::Geometry(key) => drop(self.geometries.remove(key)),
@@ -136,8 +152,12 @@ impl Scene {
             Some(old) if old.value.geometry.is_same(geometry) => {}
             Some(old) => {
                 let stored = StoredGeometry::of_valid(geometry.clone(), old.value.version + 1);
+                let resized = old.value.bounds != stored.bounds;
                 self.touch(key);
                 self.geometries[key].value = stored;
+                if resized {
+                    self.boxes_changed(key);
+                }
                 self.record(key, Change::DATA);
             }
         }
@@ -146,13 +166,13 @@ impl Scene {
     fn put_core(&mut self, key: CoreKey, core: &Core) {
         match self.cores.get(key) {
             None => {
-                self.acquire_assets(core);
                 self.cores.insert_at(key, CoreSlot::new(core.clone()));
+                self.acquire_assets(key, core);
                 self.record(key, Change::ADDED);
             }
             Some(old) if old.core == *core => {}
             Some(_) => {
-                self.acquire_assets(core);
+                self.acquire_assets(key, core);
                 self.replace_core(key, core.clone());
             }
         }
@@ -165,7 +185,6 @@ impl Scene {
             let node = Node { mask: state.mask, visible: state.visible, name: state.name.clone(), ..node };
             self.nodes.insert_at(key, node);
             self.link_user(key, state.core);
-            self.hierarchy.structure_changed();
             self.record(key, Change::ADDED);
             return;
         };
@@ -183,21 +202,27 @@ impl Scene {
         node.name.clone_from(&state.name);
         if change.contains(Change::CORE) {
             self.link_user(key, state.core);
-        }
-        if change != Change::NAME {
+            self.core_changed(key, Structural::ANY);
+        } else if change != Change::NAME {
             self.node_changed(key);
         }
         self.record(key, change);
     }
 
     fn place_node(&mut self, key: NodeKey, state: &NodeState) {
-        let node = &self.nodes[key];
         let Some(parent) = state.parent else { return };
-        if (node.parent, node.previous_sibling) != (state.parent, state.previous_sibling) {
-            self.unlink_child(key);
-            self.link_child_after(key, parent, state.previous_sibling);
-            self.hierarchy.structure_changed();
-            self.record(key, Change::PARENT);
+        let node = &self.nodes[key];
+        let old_parent = node.parent;
+        if (old_parent, node.previous_sibling) == (state.parent, state.previous_sibling) {
+            return;
         }
+        self.unlink_child(key);
+        self.link_child_after(key, parent, state.previous_sibling);
+        if old_parent != Some(parent) {
+            self.hierarchy.node_planted(key);
+            old_parent.into_iter().for_each(|parent| self.children_changed(parent));
+        }
+        self.record(key, Change::PARENT);
+        self.children_changed(parent);
     }
 }

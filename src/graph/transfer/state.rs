@@ -55,10 +55,11 @@ impl State {
     pub(super) fn references(&self) -> Vec<Object> {
         match self {
             Self::Node(node) => vec![node.core.into()],
-            Self::Core(core) => match *core {
-                Core::Geometry { geometry, material } => vec![geometry.into(), material.into()],
-                Core::Group | Core::Transform(_) | Core::Light(_) | Core::Camera(_) => vec![],
-            },
+            Self::Core(core) => {
+                let geometry = core.geometry().map(Object::from);
+                let target = core.target().map(Object::from);
+                geometry.into_iter().chain(core.material().map(Object::from)).chain(target).collect()
+            }
             Self::Material(material) => material.textures().map(|texture| texture.texture.into()).collect(),
             Self::Geometry(_) | Self::Texture(_) => vec![],
         }
