@@ -20,7 +20,7 @@ use ropewalk::{
 const EYE: DVec3 = DVec3::new(0.0, 0.0, 10.0);
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 256, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: 256, failure_persistence: None, ..ProptestConfig::default() })]
 
     /// ARCHITECTURE, invariants: the scene compiled edit by edit equals the scene compiled from nothing.
     #[test]
