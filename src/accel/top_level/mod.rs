@@ -109,8 +109,8 @@ impl fmt::Display for Update {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Kept => f.write_str("kept"),
-            Self::Patched { instances, nodes } => write!(f, "patched ({instances} instances, {nodes} nodes)"),
-            Self::Refitted { instances } => write!(f, "refitted ({instances} instances)"),
+            Self::Patched { instances, nodes } => write!(f, "patched (instances: {instances}, nodes: {nodes})"),
+            Self::Refitted { instances } => write!(f, "refitted (instances: {instances})"),
             Self::Rebuilt(Rebuild::Empty) => f.write_str("built"),
             Self::Rebuilt(Rebuild::NoRoom) => f.write_str("rebuilt (no room for new instances)"),
             Self::Rebuilt(Rebuild::Sparse) => f.write_str("rebuilt (half empty)"),
