@@ -16,6 +16,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::ops::Range;
 
 use glam::DAffine3;
+use serde::{Deserialize, Serialize};
 use slotmap::{Key, SecondaryMap, SlotMap};
 
 use self::boxes::Boxes;
@@ -67,7 +68,7 @@ pub struct Placed {
 }
 
 /// Which appearance of a node: the instances through which it is seen, and the node.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct NodePath {
     /// The nodes with [`Core::Instance`] on the way from the root, outermost first; empty where the node itself stands.
     pub instances: Vec<NodeKey>,
