@@ -16,14 +16,14 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::ops::Range;
 
 use glam::DAffine3;
-use serde::{Deserialize, Serialize};
-use slotmap::{Key, SecondaryMap, SlotMap};
+use slotmap::{Key, SecondaryMap};
 
 use self::boxes::Boxes;
 use super::assets::{StoredGeometry, Used};
 use super::bit_set::BitSet;
 use super::core::CoreSlot;
 use super::node::Node;
+use super::store::Store;
 use super::validate::check;
 use super::{Core, CoreKey, GeometryKey, MaterialKey, NodeKey};
 use crate::Result;
@@ -68,7 +68,7 @@ pub struct Placed {
 }
 
 /// Which appearance of a node: the instances through which it is seen, and the node.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub struct NodePath {
     /// The nodes with [`Core::Instance`] on the way from the root, outermost first; empty where the node itself stands.
     pub instances: Vec<NodeKey>,
@@ -110,9 +110,9 @@ struct Pending {
 #[derive(Clone, Copy)]
 pub(super) struct Tree<'a> {
     pub(super) root: NodeKey,
-    pub(super) nodes: &'a SlotMap<NodeKey, Node>,
-    pub(super) cores: &'a SlotMap<CoreKey, CoreSlot>,
-    pub(super) geometries: &'a SlotMap<GeometryKey, Used<StoredGeometry>>,
+    pub(super) nodes: &'a Store<NodeKey, Node>,
+    pub(super) cores: &'a Store<CoreKey, CoreSlot>,
+    pub(super) geometries: &'a Store<GeometryKey, Used<StoredGeometry>>,
     /// Whether any core is an instance.
     pub(super) has_instances: bool,
 }
