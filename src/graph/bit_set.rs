@@ -44,6 +44,12 @@ impl BitSet {
         Some(word * 64 + bit.trailing_zeros() as usize)
     }
 
+    /// Removes all numbers, the smallest first. Those that the caller leaves stay.
+    pub(super) fn drain(&mut self) -> impl Iterator<Item = usize> {
+        let mut start = 0;
+        std::iter::from_fn(move || self.pop_from(start).inspect(|number| start = number + 1))
+    }
+
     fn first_word_from(&self, start: usize) -> Option<(usize, u64)> {
         let first = self.summary.get(start / 64)? & (u64::MAX << (start % 64));
         let later = self.summary.iter().enumerate().skip(start / 64 + 1).map(|(i, &summary)| (i, summary));

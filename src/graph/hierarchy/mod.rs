@@ -16,6 +16,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::ops::Range;
 
 use glam::DAffine3;
+use rayon::prelude::*;
 use slotmap::{Key, SecondaryMap, SlotMap};
 
 use self::boxes::Boxes;
@@ -226,17 +227,31 @@ impl Hierarchy {
     /// The ranges of these entries and all below them, sorted and disjoint. O(n log n) of the entries given and the
     /// grafts below them.
     pub fn subtrees(&self, entries: impl IntoIterator<Item = usize>) -> Vec<Range<usize>> {
-        let mut starts: BTreeSet<usize> = entries.into_iter().collect();
-        let mut ranges: Vec<Range<usize>> = Vec::new();
+        let mut entries: Vec<usize> = entries.into_iter().collect();
+        entries.par_sort_unstable();
+        self.subtrees_from(entries)
+    }
+
+    /// The same for entries in ascending order.
+    fn subtrees_from(&self, entries: impl IntoIterator<Item = usize>) -> Vec<Range<usize>> {
+        let mut entries = entries.into_iter().peekable();
         // Grafts lie behind what they are grafted to.
-        while let Some(start) = starts.pop_first() {
+        let mut grafts: BTreeSet<usize> = BTreeSet::new();
+        let mut ranges: Vec<Range<usize>> = Vec::new();
+        loop {
+            let is_graft = match (grafts.first(), entries.peek()) {
+                (Some(graft), Some(entry)) => graft <= entry,
+                (graft, _) => graft.is_some(),
+            };
+            let Some(start) = (if is_graft { grafts.pop_first() } else { entries.next() }) else { return ranges };
             if ranges.last().is_none_or(|last| start >= last.end) {
                 let range = start..self.ends[start] as usize;
-                starts.extend(self.grafts_below(range.clone()));
+                if !self.grafts.is_empty() {
+                    grafts.extend(self.grafts_below(range.clone()));
+                }
                 ranges.push(range);
             }
         }
-        ranges
     }
 
     /// The starts of the grafts that are attached to entries in a range.
