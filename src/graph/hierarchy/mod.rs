@@ -232,26 +232,33 @@ impl Hierarchy {
         self.subtrees_from(entries)
     }
 
-    /// The same for entries in ascending order.
+    /// The same for entries in ascending order. Ranges that touch are one, unless the second is a graft.
     fn subtrees_from(&self, entries: impl IntoIterator<Item = usize>) -> Vec<Range<usize>> {
         let mut entries = entries.into_iter().peekable();
         // Grafts lie behind what they are grafted to.
         let mut grafts: BTreeSet<usize> = BTreeSet::new();
         let mut ranges: Vec<Range<usize>> = Vec::new();
-        loop {
-            let is_graft = match (grafts.first(), entries.peek()) {
-                (Some(graft), Some(entry)) => graft <= entry,
-                (graft, _) => graft.is_some(),
-            };
-            let Some(start) = (if is_graft { grafts.pop_first() } else { entries.next() }) else { return ranges };
-            if ranges.last().is_none_or(|last| start >= last.end) {
-                let range = start..self.ends[start] as usize;
-                if !self.grafts.is_empty() {
-                    grafts.extend(self.grafts_below(range.clone()));
-                }
-                ranges.push(range);
+        while let Some(start) = match (grafts.first(), entries.peek()) {
+            (Some(graft), Some(entry)) if graft <= entry => grafts.pop_first(),
+            (Some(_), None) => grafts.pop_first(),
+            _ => entries.next(),
+        } {
+            let range = start..self.ends[start] as usize;
+            match ranges.last_mut() {
+                Some(last) if start < last.end => continue,
+                Some(last) if start == last.end && (self.grafts.is_empty() || !self.is_graft(start)) => last.end = range.end,
+                _ => ranges.push(range.clone()),
+            }
+            if !self.grafts.is_empty() {
+                grafts.extend(self.grafts_below(range));
             }
         }
+        ranges
+    }
+
+    /// Whether the entry stands apart from its parent's range.
+    fn is_graft(&self, entry: usize) -> bool {
+        self.ends.get(self.parents[entry] as usize).is_some_and(|&end| end as usize <= entry)
     }
 
     /// The starts of the grafts that are attached to entries in a range.

@@ -64,40 +64,34 @@ impl Hierarchy {
     fn propagate(&mut self, ranges: &[Range<usize>]) {
         let work = ranges.iter().map(ExactSizeIterator::len).sum::<usize>() + RANGE_WORK * ranges.len();
         if work < PARALLEL_MINIMUM {
-            let mut slice = Slice { first: 0, own: &self.own, parents: &self.parents, placed: &mut self.placed };
-            for range in ranges {
-                slice.place(range.clone(), |_| Placed::NOWHERE);
-            }
+            let mut all = self.all();
+            ranges.iter().for_each(|range| all.place(range.clone(), |_| Placed::NOWHERE));
         } else {
             self.propagate_parallel(ranges, work / (8 * rayon::current_num_threads()) + 1);
         }
+    }
+
+    /// All entries.
+    fn all(&mut self) -> Slice<'_> {
+        Slice { first: 0, own: &self.own, parents: &self.parents, placed: &mut self.placed }
     }
 
     /// Large subtrees' tops here, the small subtrees in jobs of about so much work, side by side.
     fn propagate_parallel(&mut self, ranges: &[Range<usize>], job_work: usize) {
         let mut jobs: Vec<Job> = Vec::new();
         for range in ranges {
-            let mut entry = range.start;
-            while entry < range.end {
-                let end = self.ends[entry] as usize;
-                if end - entry > job_work {
-                    let mut top = entry + 1;
-                    while top < end && self.ends[top] as usize - top > job_work {
-                        top += 1;
-                    }
-                    let mut slice =
-                        Slice { first: 0, own: &self.own, parents: &self.parents, placed: &mut self.placed };
-                    slice.place(entry..top, |_| Placed::NOWHERE);
-                    entry = top;
-                    continue;
-                }
+            let mut start = range.start;
+            while start < range.end {
+                let is_large = |entry: &usize| self.ends[*entry] as usize - entry > job_work;
+                let tops = start..start + (start..range.end).take_while(is_large).count();
+                start = tops.end;
+                self.all().place(tops, |_| Placed::NOWHERE);
                 if jobs.last().is_none_or(|job| job.work >= job_work) {
-                    jobs.push(Job::new(entry));
+                    jobs.push(Job::new(start));
                 }
                 if let Some(job) = jobs.last_mut() {
-                    job.add(entry..end, self.parents[entry], &self.placed);
+                    start = job.take(start..range.end, job_work, self);
                 }
-                entry = end;
             }
         }
 
@@ -143,20 +137,25 @@ impl Job {
         Self { first, ranges: Vec::new(), work: 0, above: Vec::new(), last_above: Hierarchy::NO_PARENT }
     }
 
-    /// Adds a subtree behind the others.
-    fn add(&mut self, range: Range<usize>, parent: u32, placed: &[Placed]) {
-        if parent != self.last_above && (parent as usize) < self.first {
-            self.last_above = parent;
-            self.above.push(placed[parent as usize]);
-        }
-        self.work += range.len();
-        match self.ranges.last_mut() {
-            Some(last) if last.end == range.start => last.end = range.end,
-            _ => {
-                self.work += RANGE_WORK;
-                self.ranges.push(range);
+    /// Takes on subtrees from the start of a range, until that ends, a large one follows, or it is work enough. Returns the
+    /// start of what is left.
+    fn take(&mut self, range: Range<usize>, job_work: usize, hierarchy: &Hierarchy) -> usize {
+        let mut end = range.start;
+        while end < range.end && self.work + (end - range.start) < job_work {
+            let next = hierarchy.ends[end] as usize;
+            if next - end > job_work {
+                break;
             }
+            let parent = hierarchy.parents[end];
+            if parent != self.last_above && (parent as usize) < self.first {
+                self.last_above = parent;
+                self.above.push(hierarchy.placed[parent as usize]);
+            }
+            end = next;
         }
+        self.work += end - range.start + RANGE_WORK;
+        self.ranges.push(range.start..end);
+        end
     }
 }
 
