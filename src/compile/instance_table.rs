@@ -392,7 +392,7 @@ fn place(member: &Member, sources: &Sources<'_>) -> (Instance, Aabb, usize) {
     if geometry.nodes.is_empty() {
         return nothing(geometry.triangle_count);
     }
-    let Some(placement) = Placement::new(&world_from_local, sources.origin, &geometry.bounds) else {
+    let Some(placement) = Placement::new(&world_from_local, sources.origin, &geometry.support) else {
         return nothing(geometry.triangle_count);
     };
     let indices = [geometry.nodes.start, geometry.triangles.start, geometry.streams.start, material.record.start];
