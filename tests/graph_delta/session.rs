@@ -255,7 +255,7 @@ impl Session {
 
 #[test]
 fn sessions_equal_their_models() {
-    let config = ProptestConfig { cases: 600, failure_persistence: None, ..ProptestConfig::default() };
+    let config = ProptestConfig { cases: 800, failure_persistence: None, ..ProptestConfig::default() };
     let seen = RefCell::new(BTreeMap::<&str, usize>::new());
     let outcome = TestRunner::new(config).run(&vec(step(), 1..150), |steps| {
         let mut session = Session::new();
