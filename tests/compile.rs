@@ -11,33 +11,39 @@ use canonical::Canonical;
 use glam::{DQuat, DVec3, Vec2, Vec3, Vec4};
 use proptest::prelude::*;
 use ropewalk::accel::{Rebuild, Update};
-use ropewalk::compile::{Compiler, Needs};
+use ropewalk::compile::{Compiler, ImageHeight, Needs, Observer};
 use ropewalk::{
-    AlphaMode, Camera, Core, Geometry, GeometryKey, Keep, Light, LightKind, Material, MaterialKey, NodeKey, Scene,
-    Texture, TextureKey, TextureRef, Transform,
+    AlphaMode, Billboard, Camera, Core, Geometry, GeometryKey, Keep, Light, LightKind, Lod, Material, MaterialKey,
+    NodeKey, Scene, Switch, Texture, TextureKey, TextureRef, Transform,
 };
 
 const EYE: DVec3 = DVec3::new(0.0, 0.0, 10.0);
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 192, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: 256, ..ProptestConfig::default() })]
 
     /// ARCHITECTURE, invariants: the scene compiled edit by edit equals the scene compiled from nothing.
     #[test]
-    fn random_edits_compile_as_from_nothing(edits in prop::collection::vec(edit(), 1..60), every in 1usize..8) {
+    fn random_edits_compile_as_from_nothing(edits in prop::collection::vec(edit(), 1..100), every in 1usize..8) {
         let mut world = World::new();
         let mut compiler = Compiler::new();
         let mut compared = 0;
         for (i, edit) in edits.iter().enumerate() {
             world.apply(edit);
             if i % every == 0 || i + 1 == edits.len() {
-                let report = compiler.compile(&mut world.scene, EYE).unwrap();
+                // Some levels of detail depend on how large things are in the image.
+                let height = ImageHeight::TimesDistance([0.1, 1.0, 10.0][i % 3]);
+                let observer = Observer { height, ..EYE.into() };
+                let report = compiler.compile(&mut world.scene, observer).unwrap();
                 let mut fresh = Compiler::new();
-                let fresh_report = fresh.compile(&mut world.scene, EYE).unwrap();
+                let fresh_report = fresh.compile(&mut world.scene, observer).unwrap();
+                world.scene.validate().unwrap();
                 prop_assert_eq!(Canonical::of(compiler.arrays()).difference(&Canonical::of(fresh.arrays())), None);
                 prop_assert_eq!(report.needs, fresh_report.needs);
                 prop_assert_eq!(report.instances, fresh_report.instances);
+                prop_assert_eq!(report.singular_instances, fresh_report.singular_instances);
                 prop_assert_eq!(report.scene_triangles, fresh_report.scene_triangles);
+                prop_assert_eq!((report.lights, report.blas_count), (fresh_report.lights, fresh_report.blas_count));
                 compared += 1;
             }
         }
@@ -295,8 +301,8 @@ impl World {
             Edit::Share(parent, source) => {
                 let (parent, source) = (self.node(parent), self.node(source));
                 let core = self.scene.core_key(source).unwrap();
-                let node = self.scene.add(parent, core).unwrap();
-                self.nodes.push(node);
+                // An instance must not show itself.
+                self.nodes.extend(self.scene.add(parent, core).ok());
             }
             Edit::Move(node, x, y) => {
                 let node = self.node(node);
@@ -355,8 +361,15 @@ impl World {
 
     /// A core of any kind.
     fn any_core(&mut self, kind: usize, i: usize) -> Core {
-        match kind % 5 {
+        match kind % 12 {
             0 => Core::Group,
+            5 => Core::Switch(Switch::One(i as u32 % 3)),
+            6 => Core::Switch(Switch::Set([1, 2].into())),
+            7 => Core::MaterialGroup(self.material(i)),
+            8 => Core::Instance(self.node(i)),
+            9 => Core::Lod(Lod::by_distance([i as f64 / 4.0 + 0.1])),
+            10 => Core::Lod(Lod::by_projected_size(1.0, [i as f64 / 64.0 + 0.01])),
+            11 => Core::Billboard(if i.is_multiple_of(2) { Billboard::Free } else { Billboard::Axis(DVec3::Y) }),
             1 => Core::Transform(Transform::from_translation(DVec3::X * i as f64)),
             2 => Core::Camera(Camera::default()),
             3 => Core::Light(Light { kind: LightKind::Point, color: Vec3::ONE, intensity: i as f32, range: None }),

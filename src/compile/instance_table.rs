@@ -12,7 +12,7 @@ use super::view_dependent::ViewDependent;
 use crate::accel::{TopLevel, Update};
 use crate::device::DeviceArrays;
 use crate::device::layout::{Instance, InstanceFlags, NONE, PrimitiveRange};
-use crate::graph::{GeometryKey, Hierarchy, KeyMap, MaterialKey, NodeKey};
+use crate::graph::{GeometryKey, Hierarchy, KeyMap, MaterialKey, NodeKey, NodePath};
 use crate::math::Aabb;
 use crate::{Error, Result};
 
@@ -23,6 +23,17 @@ pub(super) struct Member {
     pub(super) node: NodeKey,
     pub(super) geometry: GeometryKey,
     pub(super) material: MaterialKey,
+}
+
+/// What an instance shows, and for which appearance of a node.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct InstanceSource {
+    /// The node with the geometry core.
+    pub path: NodePath,
+    /// Its geometry.
+    pub geometry: GeometryKey,
+    /// Its material: its core's, or that of a material group above it.
+    pub material: MaterialKey,
 }
 
 /// The instances, by device slot.

@@ -1,7 +1,7 @@
 //! The retained scene graph: nodes, cores, the change log.
 //!
 //! [`Scene`] owns everything. Its edits and getters stand in files of their own: `structure` (the tree), `cores`,
-//! `assets`, `query`.
+//! `assets`, `query`, `find`, `visit`.
 
 mod assets;
 mod billboard;
@@ -10,6 +10,7 @@ mod camera;
 mod changes;
 mod core;
 mod cores;
+mod find;
 mod geometry;
 mod hierarchy;
 mod instances;
@@ -29,6 +30,7 @@ mod switch;
 mod transfer;
 mod transform;
 mod validate;
+mod visit;
 
 pub use billboard::Billboard;
 pub use camera::Camera;
@@ -47,3 +49,4 @@ pub use scene::{Scene, SceneId};
 pub use switch::Switch;
 pub use transfer::{Delta, EditQueue, EditSender, NodeState, Pending, Recorder, Replay, SceneFileFault, State};
 pub use transform::Transform;
+pub use visit::{Descend, Visitor};

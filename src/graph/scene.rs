@@ -222,13 +222,15 @@ impl Scene {
 
     /// The hierarchy, and what it shows.
     pub(super) fn hierarchy_and_tree(&mut self) -> (&mut Hierarchy, Tree<'_>) {
-        let Self { root, nodes, cores, geometries, .. } = self;
-        (&mut self.hierarchy, Tree { root: *root, nodes, cores, geometries })
+        let Self { root, nodes, cores, geometries, instancers, .. } = self;
+        let has_instances = !instancers.is_empty();
+        (&mut self.hierarchy, Tree { root: *root, nodes, cores, geometries, has_instances })
     }
 
     /// What a hierarchy shows.
     pub(super) fn tree(&self) -> Tree<'_> {
-        Tree { root: self.root, nodes: &self.nodes, cores: &self.cores, geometries: &self.geometries }
+        let has_instances = !self.instancers.is_empty();
+        Tree { root: self.root, nodes: &self.nodes, cores: &self.cores, geometries: &self.geometries, has_instances }
     }
 
     /// Counts and logs one change.

@@ -81,8 +81,8 @@ fn refit_subtree(nodes: &mut [Node], start: usize, boxes: &[Aabb]) -> Refitted {
         let node = if old.primitives != PrimitiveRange::INNER {
             let slot = old.primitives.first();
             leaves::finite(boxes, slot).map_or(old, |bounds| flatten::leaf(slot, &bounds, old.escape_index))
-        } else if old.escape_index as usize == start + index + 1 {
-            // An unused leaf.
+        } else if old.escape_index as usize == start + index + 1 || index + 1 == nodes.len() {
+            // An unused leaf; the last one of all may have no escape index to tell it by.
             continue;
         } else {
             let second = nodes[index + 1].escape_index as usize - start;

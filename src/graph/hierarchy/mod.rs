@@ -113,6 +113,8 @@ pub(super) struct Tree<'a> {
     pub(super) nodes: &'a Store<NodeKey, Node>,
     pub(super) cores: &'a Store<CoreKey, CoreSlot>,
     pub(super) geometries: &'a Store<GeometryKey, Used<StoredGeometry>>,
+    /// Whether any core is an instance.
+    pub(super) has_instances: bool,
 }
 
 impl<'a> Tree<'a> {
