@@ -45,7 +45,8 @@ pub fn medians(samples: usize, contenders: &mut [Contender<'_>]) -> Vec<Duration
     times.into_iter().map(median).collect()
 }
 
-fn median(mut times: Vec<Duration>) -> Duration {
+/// The middle one of several durations; 0 of none.
+pub fn median(mut times: Vec<Duration>) -> Duration {
     times.sort_unstable();
     times.get(times.len() / 2).copied().unwrap_or_default()
 }

@@ -1,57 +1,48 @@
 //! A set of small numbers that gives them back in order.
 
-/// A set of numbers below its capacity: one bit each, and one for each word that has any, so that a sparse set is
-/// drained quickly.
-#[derive(Debug)]
+/// A set of numbers: one bit each, and one for each word that has any, so that a sparse set is drained quickly.
+#[derive(Debug, Default)]
 pub(super) struct BitSet {
     words: Vec<u64>,
     /// Which words are not 0.
     summary: Vec<u64>,
-    is_empty: bool,
+    has_any: bool,
 }
 
 impl BitSet {
-    /// An empty set of numbers below `capacity`.
-    pub(super) fn new(capacity: usize) -> Self {
-        let word_count = capacity.div_ceil(64);
-        Self { words: vec![0; word_count], summary: vec![0; word_count.div_ceil(64)], is_empty: true }
-    }
-
     pub(super) fn is_empty(&self) -> bool {
-        self.is_empty
+        !self.has_any
     }
 
-    /// Adds a number. O(1).
+    /// Adds a number. O(1), amortised over the growth to the largest number.
+    #[inline]
     pub(super) fn insert(&mut self, number: usize) {
         let word = number / 64;
+        if word >= self.words.len() {
+            self.words.resize(word + 1, 0);
+            self.summary.resize(word / 64 + 1, 0);
+        }
         self.words[word] |= 1 << (number % 64);
         self.summary[word / 64] |= 1 << (word % 64);
-        self.is_empty = false;
+        self.has_any = true;
     }
 
-    /// Visits all numbers from the smallest up, and leaves the set empty. O(numbers + capacity / 4096).
-    pub(super) fn drain(&mut self, mut visit: impl FnMut(usize)) {
-        if std::mem::replace(&mut self.is_empty, true) {
-            return;
-        }
-        for (i, summary) in self.summary.iter_mut().enumerate() {
-            for word in take_bits(summary) {
-                let word = i * 64 + word;
-                for bit in take_bits(&mut self.words[word]) {
-                    visit(word * 64 + bit);
-                }
-            }
-        }
+    /// Removes all numbers, the smallest first, as the iterator is run to its end. O(numbers + largest / 4096).
+    pub(super) fn drain(&mut self) -> impl Iterator<Item = usize> {
+        let Self { words, summary, has_any } = self;
+        let has_any = std::mem::take(has_any);
+        let summary = summary.iter_mut().take_while(move |_| has_any).enumerate();
+        let word_indices = summary.flat_map(|(i, word)| ones(std::mem::take(word)).map(move |bit| i * 64 + bit));
+        word_indices.flat_map(|i| ones(std::mem::take(&mut words[i])).map(move |bit| i * 64 + bit))
     }
 }
 
-/// The positions of the bits that are set, from the lowest up; none is set any more.
-fn take_bits(bits: &mut u64) -> impl Iterator<Item = usize> + use<> {
-    let mut rest = std::mem::take(bits);
+/// The places of the bits that are set.
+fn ones(mut word: u64) -> impl Iterator<Item = usize> {
     std::iter::from_fn(move || {
-        let lowest = (rest != 0).then(|| rest.trailing_zeros() as usize)?;
-        rest &= rest - 1;
-        Some(lowest)
+        let bit = word.trailing_zeros() as usize;
+        word &= word.checked_sub(1)?;
+        Some(bit)
     })
 }
 
@@ -60,24 +51,24 @@ mod tests {
     use super::*;
 
     #[test]
-    fn drains_in_order_what_was_inserted() {
-        let mut set = BitSet::new(300_000);
+    fn gives_back_in_order_what_was_inserted() {
+        let mut set = BitSet::default();
+        assert!(set.is_empty());
         let mut numbers: Vec<usize> =
-            (0..1000).map(|i: usize| i * i * 7919 % 300_000).chain([0, 63, 64, 299_999]).collect();
+            (0..1000).map(|i: usize| i * i * 7919 % 300_000).chain([0, 63, 64, 4095, 4096, 299_999]).collect();
         for &number in &numbers {
             set.insert(number);
         }
         numbers.sort_unstable();
         numbers.dedup();
-
-        let mut drained = Vec::new();
-        set.drain(|number| drained.push(number));
-        assert_eq!(drained, numbers);
+        assert!(!set.is_empty());
+        assert_eq!(set.drain().collect::<Vec<_>>(), numbers);
         assert!(set.is_empty());
+        assert_eq!(set.drain().next(), None);
 
+        set.insert(70);
         set.insert(5);
-        drained.clear();
-        set.drain(|number| drained.push(number));
-        assert_eq!(drained, [5]);
+        assert_eq!(set.drain().collect::<Vec<_>>(), [5, 70]);
+        assert!(set.is_empty());
     }
 }

@@ -2,7 +2,7 @@
 
 use super::changes::Change;
 use super::core::CoreSlot;
-use super::ranges::check_core;
+use super::ranges::{check_core, check_transform};
 use super::scene::stale;
 use super::{Core, CoreKey, CoreSource, NodeKey, Scene, Transform};
 use crate::{Error, Result};
@@ -52,7 +52,8 @@ impl Scene {
     ///
     /// # Errors
     /// [`Error::StaleKey`] for the node or what the core refers to; [`Error::OutOfRange`] for a bad number in a new
-    /// core; [`Error::Root`] for the root and a core other than a group.
+    /// core; [`Error::Root`] for the root and a core other than a group; [`Error::Cycle`] if the core instances the node,
+    /// or something that shows it.
     pub fn set_core(&mut self, node: NodeKey, core: impl Into<CoreSource>) -> Result<()> {
         let old = self.node(node)?.core;
         let source = core.into();
@@ -64,20 +65,27 @@ impl Scene {
             CoreSource::New(core) if self.cores[old].user_count == 1 && self.cores[old].core == *core => return Ok(()),
             _ => {}
         }
+        match &source {
+            CoreSource::New(core) => self.check_target(node, core)?,
+            CoreSource::Shared(key) => self.check_target(node, self.core_of(*key)?)?,
+        }
         let new = self.obtain_core(source)?;
+        self.touch(node);
+        let was = Structural::of(&self.cores[old].core);
         self.unlink_user(node, old);
         self.link_user(node, new);
-        self.node_changed(node);
+        self.core_changed(node, was);
         self.record(node, Change::CORE);
         self.release_core_if_unused(old);
         Ok(())
     }
 
-    /// Changes a core, and with it every node that uses it. O(1), or O(users) if its transform changes.
+    /// Changes a core, and with it every node that uses it. O(users).
     ///
     /// # Errors
     /// [`Error::StaleKey`] for the core or what it is to refer to; [`Error::OutOfRange`] for a bad number;
-    /// [`Error::Root`] if the root uses it and it would no longer be a group.
+    /// [`Error::Root`] if the root uses it and it would no longer be a group; [`Error::Cycle`] if it would instance one of
+    /// its users, or something that shows one.
     pub fn edit_core(&mut self, key: CoreKey, core: Core) -> Result<()> {
         if self.core_slot(key)?.core == core {
             return Ok(());
@@ -86,7 +94,18 @@ impl Scene {
             self.check_root_core(&CoreSource::New(core.clone()))?;
         }
         self.check_core(&core)?;
-        self.acquire_assets(&core);
+        if let Core::Instance(_) = core {
+            self.users(key)?.try_for_each(|user| self.check_target(user, &core))?;
+        }
+        self.acquire_assets(key, &core);
+        let old = self.replace_core(key, core);
+        self.release_assets(key, &old);
+        Ok(())
+    }
+
+    /// Puts another core, whose assets count it, in the place of one, which it gives back.
+    pub(super) fn replace_core(&mut self, key: CoreKey, core: Core) -> Core {
+        self.touch(key);
         let old = std::mem::replace(&mut self.cores[key].core, core);
         let new = &self.cores[key].core;
         let moves = matches!(old, Core::Transform(_)) || matches!(new, Core::Transform(_));
@@ -96,12 +115,14 @@ impl Scene {
         } else if !moves {
             change |= Change::DATA;
         }
-        if change.contains(Change::TRANSFORM) {
-            self.users_moved(key);
+        let was = Structural::of(&old);
+        let mut next = self.cores[key].first_user;
+        while let Some(user) = next {
+            self.core_changed(user, was);
+            next = self.nodes[user].next_user;
         }
         self.record(key, change);
-        self.release_assets(&old);
-        Ok(())
+        old
     }
 
     /// The transform of a transform node into its parent's space.
@@ -122,8 +143,25 @@ impl Scene {
     /// # Errors
     /// As [`local`](Self::local); [`Error::OutOfRange`] if some number is not finite.
     pub fn set_local(&mut self, node: NodeKey, transform: impl Into<Transform>) -> Result<()> {
-        self.local(node)?;
-        self.edit_core(self.nodes[node].core, Core::Transform(transform.into()))
+        let transform = transform.into();
+        if self.local(node)? != transform {
+            self.edit_transform(self.nodes[node].core, transform)?;
+        }
+        Ok(())
+    }
+
+    /// Moves all users of a transform core. What [`edit_core`](Self::edit_core) does, without what it does for other cores.
+    fn edit_transform(&mut self, key: CoreKey, transform: Transform) -> Result<()> {
+        let local = check_transform(&transform)?;
+        let slot = &mut self.cores[key];
+        slot.core = Core::Transform(transform);
+        let mut next = slot.first_user;
+        while let Some(user) = next {
+            self.hierarchy.node_moved(user, &local);
+            next = self.nodes[user].next_user;
+        }
+        self.record(key, Change::TRANSFORM);
+        Ok(())
     }
 
     /// The key of a source, which exists afterwards.
@@ -132,8 +170,8 @@ impl Scene {
             CoreSource::Shared(key) => self.core_slot(key).map(|_| key),
             CoreSource::New(core) => {
                 self.check_core(&core)?;
-                self.acquire_assets(&core);
-                let key = self.cores.insert(CoreSlot::new(core));
+                let key = self.cores.insert(CoreSlot::new(core.clone()));
+                self.acquire_assets(key, &core);
                 self.record(key, Change::ADDED);
                 Ok(key)
             }
@@ -142,11 +180,13 @@ impl Scene {
 
     /// Frees a core that lost a user, if it was the last.
     pub(super) fn release_core_if_unused(&mut self, key: CoreKey) {
-        if self.cores[key].user_count == 0
-            && let Some(slot) = self.cores.remove(key)
-        {
+        if self.cores[key].user_count > 0 {
+            return;
+        }
+        self.touch(key);
+        if let Some(slot) = self.cores.remove(key) {
             self.record(key, Change::REMOVED);
-            self.release_assets(&slot.core);
+            self.release_assets(key, &slot.core);
         }
     }
 
@@ -156,14 +196,18 @@ impl Scene {
         self.hierarchy.node_changed(key, node, &self.cores[node.core].core);
     }
 
-    /// Tells the hierarchy that the transform of a core is another.
-    fn users_moved(&mut self, key: CoreKey) {
-        let slot = &self.cores[key];
-        let mut next = slot.first_user;
-        while let Some(user) = next {
-            let node = &self.nodes[user];
-            self.hierarchy.node_changed(user, node, &slot.core);
-            next = node.next_user;
+    /// Tells the hierarchy that a node's core is another than it was.
+    pub(super) fn core_changed(&mut self, key: NodeKey, was: Structural) {
+        self.node_changed(key);
+        let is = Structural::of(&self.cores[self.nodes[key].core].core);
+        if was.switch || is.switch {
+            self.hierarchy.switch_changed(key);
+        }
+        if was.instance || is.instance {
+            self.hierarchy.instance_changed(key);
+        }
+        if was.geometry || is.geometry {
+            self.hierarchy.box_changed(key);
         }
     }
 
@@ -178,11 +222,37 @@ impl Scene {
         }
     }
 
-    fn check_core(&self, core: &Core) -> Result<()> {
-        if let Core::Geometry { geometry, material } = *core {
+    pub(super) fn check_core(&self, core: &Core) -> Result<()> {
+        if let Some(geometry) = core.geometry() {
             self.geometries.get(geometry).ok_or_else(|| stale(geometry))?;
+        }
+        if let Some(material) = core.material() {
             self.materials.get(material).ok_or_else(|| stale(material))?;
         }
+        if let Core::Instance(target) = *core {
+            self.node(target)?;
+        }
         check_core(core)
+    }
+}
+
+/// What a core means to others than its node.
+#[derive(Clone, Copy)]
+pub(super) struct Structural {
+    switch: bool,
+    instance: bool,
+    geometry: bool,
+}
+
+impl Structural {
+    /// Of a core that is not known any more.
+    pub(super) const ANY: Self = Self { switch: true, instance: true, geometry: true };
+
+    fn of(core: &Core) -> Self {
+        Self {
+            switch: matches!(core, Core::Switch(_)),
+            instance: matches!(core, Core::Instance(_)),
+            geometry: matches!(core, Core::Geometry { .. }),
+        }
     }
 }

@@ -3,20 +3,51 @@
 use std::f32::consts::{FRAC_PI_2, PI};
 use std::fmt::Debug;
 
-use super::{AlphaMode, Camera, Core, Light, LightKind, Material, Texture, TextureRef};
+use glam::DAffine3;
+
+use super::{
+    AlphaMode, Billboard, Camera, Core, Light, LightKind, Lod, LodMeasure, Material, Texture, TextureRef, Transform,
+};
 use crate::{Error, Result};
 
 /// Checks the numbers in a core, not the keys.
 pub(super) fn check_core(core: &Core) -> Result<()> {
     match core {
-        Core::Group | Core::Geometry { .. } => Ok(()),
-        // The matrix too: finite factors can have an infinite product.
-        Core::Transform(transform) => {
-            let finite = transform.is_finite() && transform.to_affine().is_finite();
-            require(finite, "transform", transform, "finite")
+        Core::Group | Core::Switch(_) | Core::MaterialGroup(_) | Core::Instance(_) | Core::Geometry { .. } => Ok(()),
+        Core::Transform(transform) => check_transform(transform).map(drop),
+        Core::Lod(lod) => check_lod(lod),
+        Core::Billboard(Billboard::Free) => Ok(()),
+        Core::Billboard(Billboard::Axis(axis)) => {
+            let length = axis.length();
+            require(length > 0.0 && length.is_finite(), "billboard axis", axis, "finite and not 0")
         }
         Core::Light(light) => check_light(light),
         Core::Camera(camera) => check_camera(camera),
+    }
+}
+
+/// Checks the numbers in a transform. Returns its matrix, which is finite too: finite factors can have an infinite product.
+pub(super) fn check_transform(transform: &Transform) -> Result<DAffine3> {
+    let affine = transform.to_affine();
+    require(transform.is_finite() && affine.is_finite(), "transform", transform, "finite")?;
+    Ok(affine)
+}
+
+fn check_lod(lod: &Lod) -> Result<()> {
+    require(lod.center.is_finite(), "centre of levels of detail", &lod.center, "finite")?;
+    let hysteresis = lod.hysteresis;
+    require((0.0..1.0).contains(&hysteresis), "hysteresis of levels of detail", &hysteresis, "at least 0 and below 1")?;
+    let is_positive = |value: &f64| *value > 0.0 && value.is_finite();
+    require(lod.limits.iter().all(is_positive), "limits of levels of detail", &lod.limits, "finite and above 0")?;
+    match lod.measure {
+        LodMeasure::Distance => {
+            require(lod.limits.is_sorted(), "limits of levels of detail", &lod.limits, "ascending distances")
+        }
+        LodMeasure::ProjectedSize { radius } => {
+            require(is_positive(&radius), "radius of levels of detail", &radius, "finite and above 0")?;
+            let descending = lod.limits.iter().rev().is_sorted();
+            require(descending, "limits of levels of detail", &lod.limits, "descending sizes")
+        }
     }
 }
 
@@ -40,12 +71,13 @@ fn check_light(light: &Light) -> Result<()> {
 }
 
 pub(super) fn check_camera(camera: &Camera) -> Result<()> {
+    require(camera.shift().is_finite(), "camera lens shift", &camera.shift(), "finite")?;
     match *camera {
-        Camera::Perspective { y_fov, aspect } => {
+        Camera::Perspective { y_fov, aspect, .. } => {
             require(y_fov > 0.0 && y_fov < PI, "camera field of view", &y_fov, "above 0 and below pi")?;
             aspect.map_or(Ok(()), |aspect| require_positive("camera aspect", aspect))
         }
-        Camera::Orthographic { x_mag, y_mag } => {
+        Camera::Orthographic { x_mag, y_mag, .. } => {
             require_positive("camera half width", x_mag)?;
             require_positive("camera half height", y_mag)
         }

@@ -1,11 +1,11 @@
 //! The scene's own check of itself.
 
-use slotmap::{Key, SlotMap};
+use slotmap::Key;
 
 use super::assets::Used;
-use super::hierarchy::Hierarchy;
 use super::node::Node;
 use super::ranges::{check_core, check_material, check_texture};
+use super::store::Store;
 use super::{Core, NodeKey, Object, Scene};
 use crate::{Error, Result};
 
@@ -21,12 +21,12 @@ impl Scene {
         self.validate_cores()?;
         self.validate_assets()?;
         self.log.validate(self.root)?;
-        if self.hierarchy.is_up_to_date() { self.validate_hierarchy() } else { Ok(()) }
+        if self.hierarchy.is_up_to_date() { self.hierarchy.validate(self.tree()) } else { Ok(()) }
     }
 
     /// Every link has its counterpart, and the links lead to every node once.
     fn validate_tree(&self) -> Result<()> {
-        for (key, node) in &self.nodes {
+        for (key, node) in self.nodes.iter() {
             check(node.parent.is_none() == (key == self.root), key, "only the root has no parent")?;
             let links = [node.parent, node.first_child, node.last_child, node.previous_sibling, node.next_sibling];
             check(links.iter().flatten().all(|&link| self.contains(link)), key, "a link leads out of the scene")?;
@@ -51,7 +51,7 @@ impl Scene {
         check(*self.core(self.root)? == Core::Group, self.root, "the root is not a group")?;
         let is_user = |node: &Node, previous, core| node.core == core && node.previous_user == previous;
         let mut user_count = 0;
-        for (key, slot) in &self.cores {
+        for (key, slot) in self.cores.iter() {
             let (mut previous, mut next, mut found) = (None, slot.first_user, 0);
             while let Some(user) = next {
                 let node = self.node(user)?;
@@ -62,20 +62,20 @@ impl Scene {
             check(found == slot.user_count, key, "it has fewer users than it counts")?;
             user_count += found;
             check_core(&slot.core)?;
+            if let Core::Instance(target) = slot.core {
+                self.node(target)?;
+                let known = self.instancers.get(&target).is_some_and(|cores| cores.contains(&key));
+                check(known, key, "nobody knows what it instances")?;
+            }
         }
         check(user_count == self.nodes.len(), self.root, "some nodes are not users of their cores")
     }
 
     /// Every count is the number of references that there are, and every value is allowed.
     fn validate_assets(&self) -> Result<()> {
-        let references = || {
-            self.cores.values().filter_map(|slot| match slot.core {
-                Core::Geometry { geometry, material } => Some((geometry, material)),
-                _ => None,
-            })
-        };
-        validate_counts(&self.geometries, references().map(|(geometry, _)| geometry))?;
-        validate_counts(&self.materials, references().map(|(_, material)| material))?;
+        let cores = || self.cores.values().map(|slot| &slot.core);
+        validate_counts(&self.geometries, cores().filter_map(Core::geometry))?;
+        validate_counts(&self.materials, cores().filter_map(Core::material))?;
         let materials = self.materials.values().map(|used| &used.value);
         validate_counts(&self.textures, materials.clone().flat_map(|m| m.textures().map(|t| t.texture)))?;
 
@@ -83,21 +83,11 @@ impl Scene {
         self.textures.values().try_for_each(|used| check_texture(&used.value))?;
         materials.into_iter().try_for_each(check_material)
     }
-
-    /// The arrays are what they would be if they were built now.
-    fn validate_hierarchy(&self) -> Result<()> {
-        let mut fresh = Hierarchy::new();
-        fresh.update(self.root, &self.nodes, &self.cores);
-        match self.hierarchy.first_difference(&fresh) {
-            None => Ok(()),
-            Some(node) => check(false, node, "the hierarchy shows it otherwise than it is"),
-        }
-    }
 }
 
 /// Whether each asset's count is the number of references to it.
 fn validate_counts<K: Key + Into<Object>, V>(
-    assets: &SlotMap<K, Used<V>>,
+    assets: &Store<K, Used<V>>,
     references: impl Iterator<Item = K>,
 ) -> Result<()> {
     let mut counts: slotmap::SecondaryMap<K, usize> = assets.keys().map(|key| (key, 0)).collect();
@@ -105,7 +95,7 @@ fn validate_counts<K: Key + Into<Object>, V>(
         let count = counts.get_mut(key);
         *count.ok_or(Error::Defect { object: key.into(), what: "it is referred to, but gone" })? += 1;
     }
-    for (key, used) in assets {
+    for (key, used) in assets.iter() {
         check(counts[key] == used.user_count, key, "its users are not those that it counts")?;
     }
     Ok(())

@@ -16,23 +16,23 @@ use proptest::test_runner::TestRunner;
 use ropewalk::Scene;
 
 use model::Model;
-use random::{Issued, RawEdit};
+use random::{Issued, RawEdit, raw_edit};
 use reader::Reader;
 
 const READERS: usize = 3;
 
 /// Each edit, with the errors that it can end with.
 const FAULTS: [(&str, &[&str]); 17] = [
-    ("Add", &["OutOfRange", "Stale"]),
+    ("Add", &["Cycle", "OutOfRange", "Stale"]),
     ("AddCore", &["OutOfRange", "Stale"]),
     ("AddGeometry", &["Geometry"]),
     ("AddMaterial", &["OutOfRange", "Stale"]),
     ("AddTexture", &["OutOfRange"]),
-    ("EditCore", &["OutOfRange", "Root", "Stale"]),
+    ("EditCore", &["Cycle", "OutOfRange", "Root", "Stale"]),
     ("Remove", &["Root", "Stale"]),
     ("RemoveUnused", &[]),
     ("Reparent", &["Cycle", "Root", "Singular", "Stale", "WrongCore"]),
-    ("SetCore", &["OutOfRange", "Root", "Stale"]),
+    ("SetCore", &["Cycle", "OutOfRange", "Root", "Stale"]),
     ("SetGeometry", &["Geometry", "Stale"]),
     ("SetLocal", &["OutOfRange", "Stale", "WrongCore"]),
     ("SetMask", &["Stale"]),
@@ -52,15 +52,17 @@ enum Step {
     Leave(usize),
     /// Bring the hierarchy up to date.
     Update,
+    /// Ask for boxes.
+    Measure,
 }
 
 fn step() -> impl Strategy<Value = Step> {
-    let edit = (any::<u8>(), any::<u16>(), any::<u16>(), any::<u8>());
     prop_oneof![
-        20 => edit.prop_map(|(kind, a, b, value)| Step::Edit(RawEdit { kind, a, b, value })),
+        20 => raw_edit().prop_map(Step::Edit),
         2 => (0..READERS).prop_map(Step::Read),
         1 => (0..READERS * 4).prop_map(|reader| Step::Leave(reader.min(READERS - 1))),
-        4 => Just(Step::Update),
+        3 => Just(Step::Update),
+        2 => Just(Step::Measure),
     ]
 }
 
@@ -104,8 +106,9 @@ fn run(steps: &[Step], endings: &mut BTreeSet<String>) {
             Step::Read(reader) => readers[*reader].read(&mut scene, &model, &log),
             Step::Leave(reader) => readers[*reader] = Reader::default(),
             Step::Update => compare::hierarchy(&mut scene, &model),
+            Step::Measure => compare::boxes(&mut scene, &model),
         }
-        compare::state(&scene, &model, &issued);
+        compare::state(&mut scene, &model, &issued);
     }
     for reader in &mut readers {
         reader.read(&mut scene, &model, &log);

@@ -88,7 +88,8 @@ fn refit_subtree(nodes: &mut [Node], start: usize, boxes: &[Aabb]) -> Refitted {
     for (index, node) in nodes.iter().enumerate() {
         // Without a branch: which it is is a coin toss.
         let is_leaf = node.primitives != PrimitiveRange::INNER;
-        let is_unused_leaf = node.escape_index as usize == start + index + 1;
+        // The last node is a leaf, and need not have an escape index to tell it by.
+        let is_unused_leaf = node.escape_index as usize == start + index + 1 || index + 1 == nodes.len();
         fetched[leaf_count].0 = index;
         inner[inner_count] = index;
         leaf_count += usize::from(is_leaf);

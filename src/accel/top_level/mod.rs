@@ -18,6 +18,9 @@ mod morton;
 mod radix;
 
 use std::collections::BinaryHeap;
+use std::fmt;
+
+use serde::Serialize;
 
 use self::cost::Cost;
 use self::leaves::Leaves;
@@ -66,10 +69,12 @@ pub struct TopLevel {
 }
 
 /// What became of the hierarchy.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Update {
     /// No box changed.
+    #[default]
     Kept,
     /// A few leaves changed, and those of their ancestors whose boxes did.
     Patched {
@@ -88,7 +93,8 @@ pub enum Update {
 }
 
 /// Why the hierarchy was built anew.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Rebuild {
     /// There was nothing in it before.
@@ -99,6 +105,20 @@ pub enum Rebuild {
     Sparse,
     /// Instances have moved so far that the nodes' boxes had grown past [`TopLevel::MAX_DECAY`].
     Decayed,
+}
+
+impl fmt::Display for Update {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Kept => f.write_str("kept"),
+            Self::Patched { instances, nodes } => write!(f, "patched (instances: {instances}, nodes: {nodes})"),
+            Self::Refitted { instances } => write!(f, "refitted (instances: {instances})"),
+            Self::Rebuilt(Rebuild::Empty) => f.write_str("built"),
+            Self::Rebuilt(Rebuild::NoRoom) => f.write_str("rebuilt (no room for new instances)"),
+            Self::Rebuilt(Rebuild::Sparse) => f.write_str("rebuilt (half empty)"),
+            Self::Rebuilt(Rebuild::Decayed) => f.write_str("rebuilt (decayed)"),
+        }
+    }
 }
 
 impl TopLevel {
