@@ -159,7 +159,9 @@ impl Compiled {
             }
             Edit::Swap => {
                 for &joint in chosen {
-                    let geometry = self.geometries[self.round % 2];
+                    let [one, other] = self.geometries;
+                    let shown = scene.core(self.boxes[joint])?.geometry();
+                    let geometry = if shown == Some(one) { other } else { one };
                     scene.set_core(self.boxes[joint], Core::Geometry { geometry, material })?;
                 }
             }
