@@ -94,7 +94,10 @@ fn refit_subtree(nodes: &mut [Node], start: usize, boxes: &[Aabb]) -> Refitted {
     // 2. Inner nodes, children before parents.
     for index in (0..nodes.len()).rev() {
         let old = nodes[index];
-        let is_leaf = old.primitives != PrimitiveRange::INNER || old.escape_index as usize == start + index + 1;
+        // The last node is one too, and where it ends the whole array, its escape index does not tell if it is unused.
+        let is_leaf = old.primitives != PrimitiveRange::INNER
+            || old.escape_index as usize == start + index + 1
+            || index + 1 == nodes.len();
         if is_leaf {
             continue;
         }
