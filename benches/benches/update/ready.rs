@@ -166,7 +166,7 @@ impl Compiled {
                 }
             }
             Edit::Toggle => {
-                let shown = if self.round % 2 == 0 { Switch::All } else { Switch::None };
+                let shown = if self.round.is_multiple_of(2) { Switch::All } else { Switch::None };
                 scene.set_core(self.switch, shown)?;
             }
         }
