@@ -22,7 +22,7 @@
 //! scene.add(sun, Light::directional(Vec3::ONE, 3.0))?;
 //!
 //! let mut renderer = Renderer::new(&RendererOptions { device: DeviceChoice::Cpu })?;
-//! let view = View::framing(&scene, 80, 60)?;
+//! let view = View::framing(&mut scene, 80, 60)?;
 //! let first = renderer.render(&mut scene, &view)?.report().clone();
 //! assert_eq!((first.compile.blas_built, first.compile.instances), (1, 2));
 //!
@@ -53,9 +53,9 @@ pub use error::{Error, Result};
 /// The vectors, quaternions and matrices of this interface.
 pub use glam;
 pub use graph::{
-    AlphaMode, Camera, Change, Changes, Core, CoreKey, CoreSource, Cursor, Filter, Geometry, GeometryKey, Hierarchy,
-    Keep, Light, LightKind, Material, MaterialKey, NodeKey, Object, Sampler, Scene, SceneId, Texture, TextureKey,
-    TextureRef, Transform, Wrap,
+    AlphaMode, Billboard, Camera, Change, Changes, Core, CoreKey, CoreSource, Cursor, Filter, Geometry, GeometryKey,
+    Hierarchy, Keep, Light, LightKind, Lod, LodMeasure, Material, MaterialKey, NodeKey, NodePath, Object, Placed,
+    Sampler, Scene, SceneId, Switch, Texture, TextureKey, TextureRef, Transform, Wrap,
 };
 pub use math::{Aabb, Bounds};
 pub use render::{DeviceChoice, Frame, FrameReport, Renderer, RendererOptions, Sky, View};

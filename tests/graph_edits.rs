@@ -125,9 +125,9 @@ fn transforms_that_overflow_are_defined() {
     let node = scene.add(vaster, core).unwrap();
     let walked = scene.world(node).unwrap();
     assert!(!walked.is_finite());
-    let index = scene.hierarchy().index(node).unwrap();
+    let index = scene.hierarchy().unwrap().entry(node).unwrap();
     let bits = |world: DAffine3| world.to_cols_array().map(f64::to_bits);
-    assert_eq!(bits(scene.hierarchy().worlds()[index]), bits(walked));
+    assert_eq!(bits(scene.hierarchy().unwrap().placed()[index].world), bits(walked));
     let _ = scene.world_bounds(scene.root()).unwrap();
     scene.validate().unwrap();
 }

@@ -146,7 +146,7 @@ fn impossible_views_are_errors_and_harm_nothing() {
 #[test]
 fn an_empty_scene_is_sky() {
     let mut scene = Scene::new();
-    let view = View::framing(&scene, 32, 24).unwrap();
+    let view = View::framing(&mut scene, 32, 24).unwrap();
     let image = cpu().render(&mut scene, &view).unwrap().image().unwrap();
     assert!(image.color.iter().all(|c| c[3] == 1.0 && c[2] > 0.0));
 }

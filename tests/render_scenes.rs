@@ -25,7 +25,7 @@ fn every_scene_is_drawn_whole() {
             }
             Err(error) => panic!("{error}"),
         };
-        let view = View { aovs: true, ..View::framing(&scene, 64, 48).unwrap() };
+        let view = View { aovs: true, ..View::framing(&mut scene, 64, 48).unwrap() };
         let frame = renderer.render(&mut scene, &view).unwrap();
         let compile = &frame.report().compile;
         assert_eq!(compile.scene_triangles as u64, import.counts.scene_triangles, "{name}");

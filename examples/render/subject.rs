@@ -33,7 +33,7 @@ impl Subject {
             }
         };
 
-        let mut view = first_view(&scene, arguments)?;
+        let mut view = first_view(&mut scene, arguments)?;
         view.sky = sky;
         view.max_depth = arguments.depth;
         // Only EXR files have room for depth, normals and ids.
@@ -65,7 +65,7 @@ fn import(file: &Path, arguments: &Arguments, scene: &mut Scene) -> Result<Impor
 }
 
 /// Through the camera asked for, else the first, else from where everything is seen.
-fn first_view(scene: &Scene, arguments: &Arguments) -> Result<View, String> {
+fn first_view(scene: &mut Scene, arguments: &Arguments) -> Result<View, String> {
     let (width, height) = arguments.traced_size();
     let cameras = cameras(scene);
     let chosen = match &arguments.camera {

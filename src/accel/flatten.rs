@@ -94,7 +94,7 @@ fn half_area(node: &BuildNode) -> f64 {
 /// A slab test misses rays that lie exactly in a face plane, and all rays through a flat box. Ulps alone do not help a
 /// flat box at coordinate 0, hence the share of the longest side; nor would a subnormal number, which a GPU may take for
 /// zero. A box inside another stays inside: every operation here is monotonic. The result is finite.
-fn padded(min: Vec3, max: Vec3) -> (Vec3, Vec3) {
+pub(super) fn padded(min: Vec3, max: Vec3) -> (Vec3, Vec3) {
     const ULPS: f32 = 1.0 / (1 << 22) as f32;
     let half_side = (max * 0.5 - min * 0.5).max_element();
     let margin = Vec3::splat(half_side * (2.0 * ULPS) + f32::MIN_POSITIVE);

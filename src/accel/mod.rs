@@ -1,8 +1,8 @@
 //! Acceleration structures: bounding volume hierarchies as depth-first arrays with escape indices (paper, section 3).
 //!
-//! Two levels: a [`Blas`] over the triangles of each geometry, in local space, and one [`Tlas`] over the instances, in
-//! device world space. Both are made in the same steps: a builder splits boxes into a build tree (binned SAH), `flatten`
-//! turns that into device nodes. In debug builds every result is [validated](Blas::validate).
+//! Two levels: a [`Blas`] over the triangles of each geometry, in local space, and one [`TopLevel`] over the instances,
+//! in device world space. The first is built once, for good (binned SAH); the second is kept up with what moves, and when it
+//! is rebuilt, that is done fast (clustering). In debug builds every result is [validated](Blas::validate).
 //!
 //! Guarantees, for any finite input:
 //! - Every primitive is in exactly one leaf; each box contains, with a margin, what is below it, and is not flat.
@@ -14,12 +14,12 @@ mod blas;
 mod flatten;
 mod sah;
 mod stats;
-mod tlas;
+mod top_level;
 mod tree;
 mod validate;
 
 pub use blas::{Blas, BuildParams};
 pub use sah::MAX_DEPTH;
 pub use stats::Stats;
-pub use tlas::Tlas;
+pub use top_level::{Rebuild, TopLevel, Update};
 pub use validate::StructureError;

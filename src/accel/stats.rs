@@ -58,7 +58,11 @@ impl Stats {
     }
 }
 
-fn half_area(node: &Node) -> f64 {
+/// Half the surface area of a node's box; 0 for an unused one.
+pub(super) fn half_area(node: &Node) -> f64 {
+    if node.is_unused() {
+        return 0.0;
+    }
     let [x, y, z] = [0, 1, 2].map(|axis| f64::from(node.max[axis]) - f64::from(node.min[axis]));
     x * y + y * z + z * x
 }

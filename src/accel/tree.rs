@@ -48,7 +48,7 @@ pub(super) fn right_child(primitive_count: usize, left_primitives: usize, left_n
 }
 
 /// A box in two SIMD registers; what is in the fourth lanes means nothing.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Zeroable)]
 pub(super) struct LaneBox {
     pub(super) min: Vec4,
     pub(super) max: Vec4,

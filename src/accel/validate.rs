@@ -69,11 +69,14 @@ pub(super) fn check_nodes(
         if !finite || !bounds.min.cmplt(bounds.max).all() {
             return Err(StructureError::Box { node: index, content: "a point" });
         }
-        if ancestors.last().is_some_and(|(_, parent)| !parent.contains(&bounds)) {
+        // An unused node lies outside; what is in use below one sticks out of it.
+        if !node.is_unused() && ancestors.last().is_some_and(|(_, parent)| !parent.contains(&bounds)) {
             return Err(StructureError::Box { node: index, content: "less than its parent" });
         }
         if node.primitives == PrimitiveRange::INNER {
-            ancestors.push((end, bounds));
+            if end > index + 1 {
+                ancestors.push((end, bounds));
+            }
             continue;
         }
         let (first, count) = (node.primitives.first(), node.primitives.count());
@@ -93,13 +96,14 @@ fn has_margin(bounds: &Aabb, content: &Aabb) -> bool {
     bounds.contains(content) && (min & max).all()
 }
 
-/// The index after the node's subtree: one further for a leaf, at least three further (two children) for an inner node, and
-/// not past the parent's end.
+/// The index after the node's subtree: one further for a leaf, at least three further (two children) for an inner node or one
+/// for an unused leaf that is not the last node, and not past the parent's end.
 fn subtree_end(nodes: &[Node], index: usize, parent_end: Option<usize>) -> Result<usize, StructureError> {
     let node = &nodes[index];
     let end = if node.escape_index == NONE { nodes.len() } else { node.escape_index as usize };
     let is_leaf = node.primitives != PrimitiveRange::INNER;
-    let fits = if is_leaf { end == index + 1 } else { end >= index + 3 };
+    let is_unused_leaf = node.is_unused() && end == index + 1 && end < nodes.len();
+    let fits = if is_leaf { end == index + 1 } else { end >= index + 3 || is_unused_leaf };
     let is_marked = (node.escape_index == NONE) == (end == nodes.len());
     // The root, and only the root, spans everything.
     if fits

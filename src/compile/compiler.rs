@@ -1,65 +1,55 @@
 //! The compiler: reads what changed in a scene and brings the device arrays up to date with the smallest update.
 
+use std::collections::BTreeSet;
 use std::ops::Range;
 use std::time::Instant;
 
 use glam::DVec3;
-use slotmap::SecondaryMap;
 
+use super::dirty::Dirty;
 use super::geometry_cache::GeometryCache;
 use super::instance_table::{InstanceTable, Member, Sources};
 use super::material_table::MaterialTable;
-use super::report::{CompileReport, RebuildReason, TlasUpdate};
+use super::observer::Observer;
+use super::report::CompileReport;
+use super::view_dependent::ViewDependent;
 use super::{Needs, pack};
 use crate::Result;
+use crate::accel::Update;
 use crate::device::DeviceArrays;
-use crate::graph::{Change, Changes, Core, Cursor, Hierarchy, NodeKey, Object, Scene};
+use crate::graph::{Changes, Core, Cursor, Hierarchy, Scene};
 use crate::math::{Aabb, Bounds};
 
 /// Turns one scene after another, or one scene edit by edit, into [`DeviceArrays`].
 ///
-/// The arrays after any sequence of edits equal those of the same scene compiled from nothing, but for the places at
-/// which instances, geometries and materials lie.
+/// The arrays after any sequence of edits show what those of the same scene compiled from nothing show: the same
+/// instances, each with the same records, boxes, geometry and material. They may lie at other places, and the top level
+/// may have another shape.
 #[derive(Debug)]
 pub struct Compiler {
     /// The scene that the arrays hold, and how much of its log they reflect.
     cursor: Cursor,
+    /// How much of the hierarchy they reflect.
+    seen: Seen,
     arrays: DeviceArrays,
     geometries: GeometryCache,
     materials: MaterialTable,
     instances: InstanceTable,
-    /// Nodes with a light core that are visible, as preorder indices.
-    light_nodes: Vec<u32>,
+    /// Entries with a light core that are shown.
+    lights: BTreeSet<u32>,
+    view: ViewDependent,
     /// Where the device's world has its origin, in the scene's world.
     origin: DVec3,
     /// The report of a compile that finds nothing changed.
     unchanged: CompileReport,
 }
 
-/// What changed since the last compile, from the log.
-#[derive(Debug, Default)]
-struct Dirty {
-    /// All of it: the scene is new to the compiler.
-    everything: bool,
-    /// The set of visible geometry or light nodes, their masks, geometries or materials.
-    structure: bool,
-    /// Lights, other than by transform.
-    lights: bool,
-    /// Nodes whose local transform changed.
-    moved: Vec<NodeKey>,
-}
-
-/// Which instance records must be written.
-enum Stale {
-    All,
-    /// Ranges of the instance table's members.
-    Ranges(Vec<Range<usize>>),
-}
-
-impl Dirty {
-    fn is_empty(&self) -> bool {
-        !(self.structure || self.lights) && self.moved.is_empty()
-    }
+/// How much of a hierarchy has been read.
+#[derive(Clone, Copy, Debug, Default)]
+struct Seen {
+    generation: u64,
+    entries: usize,
+    gaps: usize,
 }
 
 impl Default for Compiler {
@@ -73,26 +63,28 @@ impl Compiler {
     pub fn new() -> Self {
         Self {
             cursor: Cursor::default(),
+            seen: Seen::default(),
             arrays: DeviceArrays::default(),
             geometries: GeometryCache::new(),
             materials: MaterialTable::new(),
             instances: InstanceTable::default(),
-            light_nodes: Vec::new(),
+            lights: BTreeSet::new(),
+            view: ViewDependent::default(),
             origin: DVec3::ZERO,
             unchanged: CompileReport::default(),
         }
     }
 
-    /// Brings the arrays up to date with `scene`, to be seen from `eye` (world space).
+    /// Brings the arrays up to date with `scene`, to be seen by `observer`, or from an eye at some point in the world.
     ///
-    /// Costs nothing for an unchanged scene, a top-level build for moved nodes, a walk over the visible nodes for other
-    /// edits, and a bottom-level build for each new or changed geometry.
+    /// Costs nothing for an unchanged scene, else what changed: a record and a patch of the top level for each instance
+    /// that moved, came or went, a bottom-level build for each new or changed geometry.
     ///
     /// # Errors
-    /// [`Error::Limit`](crate::Error::Limit) if an array would pass what its indices can address. The compiler then
-    /// starts from nothing with its next scene.
-    pub fn compile(&mut self, scene: &mut Scene, eye: DVec3) -> Result<CompileReport> {
-        let result = self.try_compile(scene, eye);
+    /// [`Error::Limit`](crate::Error::Limit) if an array would pass what its indices can address, or instances of instances
+    /// are too many. The compiler then starts from nothing with its next scene.
+    pub fn compile(&mut self, scene: &mut Scene, observer: impl Into<Observer>) -> Result<CompileReport> {
+        let result = self.try_compile(scene, &observer.into());
         if result.is_err() {
             *self = Self::new();
         }
@@ -114,113 +106,200 @@ impl Compiler {
         self.origin
     }
 
-    fn try_compile(&mut self, scene: &mut Scene, eye: DVec3) -> Result<CompileReport> {
+    fn try_compile(&mut self, scene: &mut Scene, observer: &Observer) -> Result<CompileReport> {
         let start = Instant::now();
         let mut report = self.unchanged.clone();
         let dirty = self.read_changes(scene);
         if dirty.everything {
-            self.origin = eye;
+            self.origin = observer.eye;
+        } else if !dirty.any && self.view.is_current(observer) && !self.is_far(observer.eye) {
+            report.update_time = start.elapsed();
+            return Ok(report);
         }
-        if !dirty.is_empty() || self.is_far(eye) {
-            let (scene, hierarchy) = scene.with_hierarchy();
-            self.update(scene, hierarchy, &dirty, &mut report)?;
-            if self.is_far(eye) {
-                self.origin = eye;
-                self.write(scene, hierarchy, &Stale::All, RebuildReason::Rebased, &mut report)?;
-            }
-            self.count(&mut report);
-            self.unchanged = report.as_unchanged();
+
+        let (scene, hierarchy) = scene.with_hierarchy()?;
+        // 1. Which entries are instances and lights.
+        let mut shine = self.update_entries(scene, hierarchy, &dirty)?;
+        // 2. What the observer has to do with it.
+        shine |= self.update_view(scene, hierarchy, observer)?;
+        // 3. The geometries and materials that they use.
+        self.update_assets(scene, &dirty, &mut report)?;
+        // 4. Their records, relative to the render origin; and once more where that follows the eye.
+        shine |= dirty.lights;
+        self.place(scene, hierarchy, shine, &mut report)?;
+        if self.is_far(observer.eye) {
+            self.origin = observer.eye;
+            self.instances.mark_all();
+            self.place(scene, hierarchy, true, &mut report)?;
+            report.rebased = true;
         }
+
+        self.count(&mut report);
+        self.unchanged = report.as_unchanged();
         report.update_time = start.elapsed().saturating_sub(report.blas_time + report.tlas_time);
         Ok(report)
     }
 
-    /// Brings the arrays up to date with what changed.
-    fn update(
-        &mut self,
-        scene: &Scene,
-        hierarchy: &Hierarchy,
-        dirty: &Dirty,
-        report: &mut CompileReport,
-    ) -> Result<()> {
-        if dirty.structure {
-            self.collect(scene, hierarchy)?;
-            self.update_assets(scene, report)?;
-            let reason = if dirty.everything { RebuildReason::NewScene } else { RebuildReason::Structure };
-            return self.write(scene, hierarchy, &Stale::All, reason, report);
+    /// Reads the log. O(changes).
+    fn read_changes(&mut self, scene: &mut Scene) -> Dirty {
+        match scene.changes_since(&mut self.cursor) {
+            Changes::Everything => {
+                // Keys of different scenes may be equal: nothing of the old one may stay.
+                *self = Self { cursor: std::mem::take(&mut self.cursor), ..Self::new() };
+                Dirty { everything: true, ..Dirty::default() }
+            }
+            Changes::Since(changes) => Dirty::new(scene, changes),
         }
-        let mut moved: Vec<u32> = dirty.moved.iter().filter_map(|&node| Some(hierarchy.index(node)? as u32)).collect();
-        let moved: Vec<Range<usize>> =
-            hierarchy.outermost_subtrees(&mut moved).map(|subtree| self.instances.members_in(subtree)).collect();
-        let instances = moved.iter().map(ExactSizeIterator::len).sum();
-        self.write(scene, hierarchy, &Stale::Ranges(moved), RebuildReason::Moved { instances }, report)
     }
 
-    /// Writes stale instance records and the lights, then the top level if a box changed, for the reason given.
-    fn write(
-        &mut self,
-        scene: &Scene,
-        hierarchy: &Hierarchy,
-        stale: &Stale,
-        reason: RebuildReason,
-        report: &mut CompileReport,
-    ) -> Result<()> {
-        let sources =
-            Sources { hierarchy, geometries: &self.geometries, materials: &self.materials, origin: self.origin };
-        match stale {
-            Stale::All => self.instances.write(0..self.instances.members().len(), &sources, &mut self.arrays),
-            Stale::Ranges(ranges) => {
-                for range in ranges {
-                    self.instances.write(range.clone(), &sources, &mut self.arrays);
-                }
+    /// Finds the members and lights among the entries that changed. Whether some light did, too.
+    fn update_entries(&mut self, scene: &Scene, hierarchy: &Hierarchy, dirty: &Dirty) -> Result<bool> {
+        let entry_count = hierarchy.nodes().len();
+        let lights = self.lights.len();
+        if self.seen.generation != hierarchy.generation() {
+            self.seen = Seen { generation: hierarchy.generation(), entries: entry_count, gaps: 0 };
+            self.lights.clear();
+            self.view.clear();
+            let mut members = Vec::new();
+            for entry in 0..entry_count {
+                members.extend(self.classify(scene, hierarchy, entry)?);
+            }
+            self.instances.replace(members.into_iter(), entry_count, &mut self.arrays)?;
+            return Ok(true);
+        }
+
+        for &gap in &hierarchy.gaps()[self.seen.gaps.min(hierarchy.gaps().len())..] {
+            self.view.forget(gap);
+            self.lights.remove(&gap);
+            if (gap as usize) < self.seen.entries {
+                self.instances.set(gap as usize, None, &mut self.arrays)?;
             }
         }
-        self.write_lights(scene, hierarchy)?;
+        self.instances.set_entry_count(entry_count);
+        let new = self.seen.entries..entry_count;
+        let changed = dirty.changed.iter().flat_map(|&node| hierarchy.entries(node));
+        let changed = hierarchy.subtrees(changed);
+        self.seen = Seen { entries: entry_count, gaps: hierarchy.gaps().len(), ..self.seen };
+        let mut shine = self.lights.len() != lights;
+        for range in changed.into_iter().chain([new]) {
+            shine |= self.has_lights(&range);
+            self.refresh(scene, hierarchy, range.clone())?;
+            shine |= self.has_lights(&range);
+        }
 
-        let start = Instant::now();
-        if self.instances.update_tlas(&mut self.arrays) {
-            report.tlas_time += start.elapsed();
-            report.tlas = TlasUpdate::Rebuilt(reason);
+        let moved = dirty.moved.iter().flat_map(|&node| hierarchy.entries(node));
+        for range in hierarchy.subtrees(moved) {
+            shine |= self.has_lights(&range);
+            range.for_each(|entry| self.instances.mark_entry(entry));
+        }
+        Ok(shine)
+    }
+
+    /// Chooses levels of detail and turns billboards. Whether that moved some light.
+    fn update_view(&mut self, scene: &Scene, hierarchy: &Hierarchy, observer: &Observer) -> Result<bool> {
+        let mut shine = false;
+        let choice = self.view.choose(scene, hierarchy, observer)?;
+        for range in choice.shown {
+            shine |= self.has_lights(&range);
+            self.refresh(scene, hierarchy, range.clone())?;
+            shine |= self.has_lights(&range);
+        }
+        for entry in choice.turned {
+            shine |= self.lights.contains(&entry);
+            self.instances.mark_entry(entry as usize);
+        }
+        Ok(shine)
+    }
+
+    /// Finds out anew what the entries in a range are.
+    fn refresh(&mut self, scene: &Scene, hierarchy: &Hierarchy, range: Range<usize>) -> Result<()> {
+        for entry in range {
+            let member = self.classify(scene, hierarchy, entry)?;
+            self.instances.set(entry, member, &mut self.arrays)?;
         }
         Ok(())
     }
 
-    /// Reads the log. O(changes).
-    fn read_changes(&mut self, scene: &mut Scene) -> Dirty {
-        let mut dirty = Dirty::default();
-        let changes = match scene.changes_since(&mut self.cursor) {
-            Changes::Everything => {
-                // Keys of different scenes may be equal: nothing of the old one may stay.
-                *self = Self { cursor: std::mem::take(&mut self.cursor), ..Self::new() };
-                return Dirty { everything: true, structure: true, ..dirty };
+    /// What an entry is; the member, if it is one.
+    fn classify(&mut self, scene: &Scene, hierarchy: &Hierarchy, entry: usize) -> Result<Option<Member>> {
+        let node = hierarchy.nodes()[entry];
+        // A gap.
+        let Ok(core) = scene.core(node) else { return Ok(None) };
+        self.view.classify(hierarchy, entry, core);
+        let placed = &hierarchy.placed()[entry];
+        let shown = placed.visible && self.view.shows(entry);
+        match core {
+            Core::Light(_) if shown => drop(self.lights.insert(entry as u32)),
+            _ => drop(self.lights.remove(&(entry as u32))),
+        }
+        Ok(match *core {
+            Core::Geometry { geometry, material } if shown => {
+                let material = placed.material.unwrap_or(material);
+                Some(Member { entry: entry as u32, node, geometry, material })
             }
-            Changes::Since(changes) => changes,
+            _ => None,
+        })
+    }
+
+    fn has_lights(&self, range: &Range<usize>) -> bool {
+        self.lights.range(range.start as u32..range.end as u32).next().is_some()
+    }
+
+    /// Frees the geometries and materials that no member uses and makes those that one misses.
+    fn update_assets(&mut self, scene: &Scene, dirty: &Dirty, report: &mut CompileReport) -> Result<()> {
+        if dirty.textures || !dirty.materials.is_empty() || self.instances.materials().changed() {
+            let stored = self.materials.update(scene, self.instances.materials(), &mut self.arrays)?;
+            self.instances.materials_mut().forget_changes();
+            self.instances.mark_users(&[], &stored);
+        }
+        if !dirty.geometries.is_empty() || self.instances.geometries().changed() {
+            let start = Instant::now();
+            let update = self.geometries.update(scene, self.instances.geometries(), &mut self.arrays)?;
+            self.instances.geometries_mut().forget_changes();
+            self.instances.mark_users(&update.built, &[]);
+            report.blas_built = update.built.len();
+            report.blas_built_triangles = update.built_triangles;
+            report.blas_freed = update.freed;
+            report.blas_time = start.elapsed();
+        }
+        Ok(())
+    }
+
+    /// Writes the records that are stale, the lights if some changed, and what that means for the top level.
+    fn place(&mut self, scene: &Scene, hierarchy: &Hierarchy, shine: bool, report: &mut CompileReport) -> Result<()> {
+        let sources = Sources {
+            hierarchy,
+            view: &self.view,
+            geometries: &self.geometries,
+            materials: &self.materials,
+            origin: self.origin,
         };
-        for (object, change) in changes {
-            match object {
-                // A name is no part of the image.
-                Object::Node(_) => dirty.structure |= change != Change::NAME,
-                Object::Core(_) if change.intersects(Change::ADDED | Change::REMOVED) => {}
-                Object::Core(key) => {
-                    if change.contains(Change::TRANSFORM) {
-                        dirty.moved.extend(scene.users(key).into_iter().flatten());
-                    }
-                    dirty.structure |= change.contains(Change::KIND);
-                    if change.contains(Change::DATA) {
-                        match scene.core_of(key) {
-                            Ok(Core::Camera(_)) => {}
-                            Ok(Core::Light(_)) => dirty.lights = true,
-                            _ => dirty.structure = true,
-                        }
-                    }
-                }
-                // One that is new or gone is seen by the cores that use it.
-                Object::Geometry(_) | Object::Material(_) | Object::Texture(_) => {
-                    dirty.structure |= change.contains(Change::DATA);
-                }
+        report.instances_written += self.instances.write(&sources, &mut self.arrays);
+        if shine {
+            self.write_lights(scene, hierarchy)?;
+        }
+        let start = Instant::now();
+        match self.instances.update_top_level(&mut self.arrays) {
+            Update::Kept => {}
+            update => {
+                report.tlas = update;
+                report.tlas_time += start.elapsed();
             }
         }
-        dirty
+        Ok(())
+    }
+
+    /// O(lights).
+    fn write_lights(&mut self, scene: &Scene, hierarchy: &Hierarchy) -> Result<()> {
+        let mut lights = Vec::with_capacity(self.lights.len());
+        for &entry in &self.lights {
+            let entry = entry as usize;
+            if let Core::Light(light) = scene.core(hierarchy.nodes()[entry])? {
+                lights.extend(pack::light(light, &self.view.world(hierarchy, entry), self.origin));
+            }
+        }
+        self.arrays.lights.replace(&lights);
+        Ok(())
     }
 
     /// Whether the eye is so far from the render origin that the origin must follow it. Positions near the eye then have
@@ -245,54 +324,9 @@ impl Compiler {
         }
     }
 
-    /// Finds the visible geometry and light nodes. O(nodes).
-    fn collect(&mut self, scene: &Scene, hierarchy: &Hierarchy) -> Result<()> {
-        let mut members = Vec::new();
-        self.light_nodes.clear();
-        for (preorder, &node) in hierarchy.nodes().iter().enumerate().filter(|&(i, _)| hierarchy.visible()[i]) {
-            let preorder = preorder as u32;
-            match *scene.core(node)? {
-                Core::Geometry { geometry, material } => members.push(Member { preorder, node, geometry, material }),
-                Core::Light(_) => self.light_nodes.push(preorder),
-                Core::Group | Core::Transform(_) | Core::Camera(_) => {}
-            }
-        }
-        self.instances.set_members(members, &mut self.arrays)
-    }
-
-    /// Frees the geometries and materials that no member uses and makes those that one misses.
-    fn update_assets(&mut self, scene: &Scene, report: &mut CompileReport) -> Result<()> {
-        let (mut geometries, mut materials) = (SecondaryMap::new(), SecondaryMap::new());
-        for member in self.instances.members() {
-            geometries.insert(member.geometry, ());
-            materials.insert(member.material, ());
-        }
-        self.materials.update(scene, &materials, &mut self.arrays)?;
-        let start = Instant::now();
-        let update = self.geometries.update(scene, &geometries, &mut self.arrays)?;
-        report.blas_built = update.built;
-        report.blas_built_triangles = update.built_triangles;
-        report.blas_freed = update.freed;
-        report.blas_time = start.elapsed();
-        Ok(())
-    }
-
-    /// O(visible lights).
-    fn write_lights(&mut self, scene: &Scene, hierarchy: &Hierarchy) -> Result<()> {
-        let mut lights = Vec::with_capacity(self.light_nodes.len());
-        for &preorder in &self.light_nodes {
-            let preorder = preorder as usize;
-            if let Core::Light(light) = scene.core(hierarchy.nodes()[preorder])? {
-                lights.extend(pack::light(light, &hierarchy.worlds()[preorder], self.origin));
-            }
-        }
-        self.arrays.lights.replace(&lights);
-        Ok(())
-    }
-
-    /// The totals of the report.
+    /// The totals of the report. O(materials).
     fn count(&self, report: &mut CompileReport) {
-        let totals = self.instances.totals(&self.geometries);
+        let totals = self.instances.totals();
         report.blas_count = self.geometries.len();
         report.instances = totals.instances;
         report.singular_instances = totals.singular_instances;

@@ -8,6 +8,7 @@ use slotmap::SecondaryMap;
 
 use super::arena::Arena;
 use super::enclosure::encloses;
+use super::instance_table::Users;
 use crate::Result;
 use crate::accel::{Blas, BuildParams};
 use crate::device::DeviceArrays;
@@ -59,9 +60,9 @@ impl Entry {
 }
 
 /// What [`GeometryCache::update`] did.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct GeometryUpdate {
-    pub(super) built: usize,
+    pub(super) built: Vec<GeometryKey>,
     pub(super) built_triangles: usize,
     pub(super) freed: usize,
 }
@@ -85,12 +86,11 @@ impl GeometryCache {
     pub(super) fn update(
         &mut self,
         scene: &Scene,
-        used: &SecondaryMap<GeometryKey, ()>,
+        used: &Users<GeometryKey>,
         arrays: &mut DeviceArrays,
     ) -> Result<GeometryUpdate> {
-        let is_current = |key, entry: &Entry| {
-            used.contains_key(key) && scene.geometry_version(key).is_ok_and(|v| v == entry.version)
-        };
+        let is_current =
+            |key, entry: &Entry| used.has(key) && scene.geometry_version(key).is_ok_and(|v| v == entry.version);
         let stale: Vec<GeometryKey> = self.entries.iter().filter(|&(k, e)| !is_current(k, e)).map(|(k, _)| k).collect();
         for &key in &stale {
             self.free(key, arrays);
@@ -106,7 +106,7 @@ impl GeometryCache {
 
         let mut update = GeometryUpdate { freed: stale.len(), ..GeometryUpdate::default() };
         for ((key, version, geometry), blas) in missing.into_iter().zip(built) {
-            update.built += 1;
+            update.built.push(key);
             update.built_triangles += geometry.indices.len();
             let entry = self.store(version, geometry, &blas, arrays)?;
             self.entries.insert(key, entry);

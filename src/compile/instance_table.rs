@@ -1,47 +1,59 @@
-//! Which node is which instance: the visible geometry nodes in preorder, their device slots and world boxes.
-
-use std::ops::Range;
+//! Which entry of the hierarchy is which instance: the geometry that is shown, with its device slots and world boxes.
 
 use glam::DVec3;
-use slotmap::SecondaryMap;
+use rayon::prelude::*;
+use slotmap::{Key, SecondaryMap};
 
 use super::Needs;
 use super::geometry_cache::GeometryCache;
 use super::material_table::MaterialTable;
 use super::pack::Placement;
-use crate::accel::Tlas;
+use super::view_dependent::ViewDependent;
+use crate::accel::{TopLevel, Update};
 use crate::device::DeviceArrays;
-use crate::device::layout::{Instance, InstanceFlags, PrimitiveRange};
+use crate::device::layout::{Instance, InstanceFlags, NONE, PrimitiveRange};
 use crate::graph::{GeometryKey, Hierarchy, MaterialKey, NodeKey};
 use crate::math::Aabb;
 use crate::{Error, Result};
 
-/// A visible node with a geometry core.
-#[derive(Clone, Copy, Debug)]
+/// An entry of the hierarchy that shows a geometry.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Member {
-    /// Index in the hierarchy's preorder.
-    pub(super) preorder: u32,
+    pub(super) entry: u32,
     pub(super) node: NodeKey,
     pub(super) geometry: GeometryKey,
     pub(super) material: MaterialKey,
 }
 
-/// The instances, in preorder.
+/// The instances, by device slot.
 #[derive(Debug, Default)]
 pub(super) struct InstanceTable {
-    members: Vec<Member>,
-    /// Device slot of each member. A node keeps its slot as long as it is a member.
-    slots: Vec<u32>,
-    /// World box of each member relative to the render origin; empty for one that cannot be hit.
-    boxes: Vec<Aabb>,
-    slot_of: SecondaryMap<NodeKey, u32>,
+    slots: Vec<Slot>,
     free_slots: Vec<u32>,
-    /// Whether `slots` or `boxes` differ from what the top level was built over.
-    tlas_stale: bool,
+    /// World box of each slot relative to the render origin; empty for one that cannot be hit.
+    boxes: Vec<Aabb>,
+    /// The slot of each entry, or [`NONE`].
+    slot_at: Vec<u32>,
+    of_geometry: Users<GeometryKey>,
+    of_material: Users<MaterialKey>,
+    /// Slots whose records must be written.
+    stale: Vec<u32>,
+    /// Slots whose boxes differ from what the top level holds.
+    moved: Vec<u32>,
+    top_level: TopLevel,
+    totals: Totals,
+}
+
+#[derive(Clone, Debug, Default)]
+struct Slot {
+    member: Option<Member>,
+    is_stale: bool,
+    /// Triangles that can be hit, or cannot because the matrix is singular.
+    triangles: usize,
 }
 
 /// What the members are, in numbers.
-#[derive(Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Totals {
     /// Members that can be hit.
     pub(super) instances: usize,
@@ -52,121 +64,335 @@ pub(super) struct Totals {
 }
 
 /// What turns a member into a device record.
+#[derive(Clone, Copy)]
 pub(super) struct Sources<'a> {
     pub(super) hierarchy: &'a Hierarchy,
+    pub(super) view: &'a ViewDependent,
     pub(super) geometries: &'a GeometryCache,
     pub(super) materials: &'a MaterialTable,
     pub(super) origin: DVec3,
 }
 
+/// Membership.
 impl InstanceTable {
-    /// Replaces the members. Those that were members keep their slots; slots nobody has any more are zeroed.
+    /// Makes room for entries up to a count.
+    pub(super) fn set_entry_count(&mut self, count: usize) {
+        self.slot_at.resize(count, NONE);
+    }
+
+    /// Makes an entry a member, another member, or none.
     ///
     /// # Errors
     /// [`Error::Limit`] beyond 2^28 members: a leaf's instance index has 28 bits.
-    pub(super) fn set_members(&mut self, members: Vec<Member>, arrays: &mut DeviceArrays) -> Result<()> {
-        let (needed, limit) = (members.len() as u64, u64::from(PrimitiveRange::MAX_FIRST));
-        if needed > limit {
-            return Err(Error::Limit { what: "the instances array", needed, limit, hint: "" });
-        }
-        let mut slot_of = SecondaryMap::new();
-        for member in &members {
-            if let Some(slot) = self.slot_of.remove(member.node) {
-                slot_of.insert(member.node, slot);
+    pub(super) fn set(&mut self, entry: usize, member: Option<Member>, arrays: &mut DeviceArrays) -> Result<()> {
+        let slot = self.slot_at[entry];
+        match member {
+            None if slot == NONE => {}
+            None => self.free(slot, arrays),
+            Some(member) if slot == NONE => {
+                let slot = self.allocate()?;
+                self.occupy(slot, member);
+            }
+            Some(member) => {
+                self.release_users(slot);
+                self.occupy(slot, member);
             }
         }
-        for (_, slot) in self.slot_of.drain() {
-            arrays.instances.write(slot as usize, &[bytemuck::Zeroable::zeroed()]);
-            self.free_slots.push(slot);
-        }
-        // Lowest first, so that slots do not depend on the order of removal more than they must.
-        self.free_slots.sort_unstable_by(|a, b| b.cmp(a));
-        let mut end = (slot_of.len() + self.free_slots.len()) as u32;
-        let old_slots = std::mem::take(&mut self.slots);
-        for member in &members {
-            let slot = slot_of.get(member.node).copied().or_else(|| self.free_slots.pop()).unwrap_or_else(|| {
-                end += 1;
-                end - 1
-            });
-            slot_of.insert(member.node, slot);
-            self.slots.push(slot);
-        }
-        self.tlas_stale |= self.members.len() != members.len() || self.slots != old_slots;
-        self.slot_of = slot_of;
-        self.boxes.resize(members.len(), Aabb::EMPTY);
-        self.members = members;
-        // The array ends with the last slot in use.
-        let end = self.slots.iter().max().map_or(0, |&last| last + 1);
-        self.free_slots.retain(|&slot| slot < end);
-        arrays.instances.truncate(end as usize);
         Ok(())
     }
 
-    /// Writes the device records of the members in the given range of [`members`](Self::members).
-    pub(super) fn write(&mut self, range: Range<usize>, sources: &Sources<'_>, arrays: &mut DeviceArrays) {
-        for i in range {
-            let (record, bounds) = place(&self.members[i], sources);
-            self.tlas_stale |= self.boxes[i] != bounds;
-            self.boxes[i] = bounds;
-            arrays.instances.write(self.slots[i] as usize, &[record]);
-        }
-    }
-
-    /// Builds the top level over the members that can be hit, if any of them changed; whether it did.
-    pub(super) fn update_tlas(&mut self, arrays: &mut DeviceArrays) -> bool {
-        if !std::mem::take(&mut self.tlas_stale) {
-            return false;
-        }
-        arrays.tlas_nodes.replace(&Tlas::build(&self.boxes, &self.slots).nodes);
-        true
-    }
-
-    /// The members, in preorder.
-    pub(super) fn members(&self) -> &[Member] {
-        &self.members
-    }
-
-    /// The members whose preorder index lies in `subtree`, as a range of [`members`](Self::members). O(log members).
-    pub(super) fn members_in(&self, subtree: Range<usize>) -> Range<usize> {
-        let first_from = |end: usize| self.members.partition_point(|m| (m.preorder as usize) < end);
-        first_from(subtree.start)..first_from(subtree.end)
-    }
-
-    /// Counts what can be hit. O(members).
-    pub(super) fn totals(&self, geometries: &GeometryCache) -> Totals {
-        let mut totals = Totals::default();
-        for (member, bounds) in self.members.iter().zip(&self.boxes) {
-            let triangles = geometries.get(member.geometry).map_or(0, |entry| entry.triangle_count);
-            match (bounds.is_empty(), triangles) {
-                (false, _) => {
-                    totals.instances += 1;
-                    totals.triangles += triangles;
-                }
-                (true, 0) => {}
-                (true, _) => totals.singular_instances += 1,
+    /// Gives the members new entries after all of them changed: nodes keep their slots where they can. The table then has
+    /// these members. O(members).
+    pub(super) fn replace(
+        &mut self,
+        members: impl Iterator<Item = Member>,
+        entry_count: usize,
+        arrays: &mut DeviceArrays,
+    ) -> Result<()> {
+        // The slots of each node, linked.
+        let mut first: SecondaryMap<NodeKey, u32> = SecondaryMap::new();
+        let mut next = vec![NONE; self.slots.len()];
+        for slot in (0..self.slots.len()).rev() {
+            if let Some(member) = self.slots[slot].member {
+                next[slot] = first.insert(member.node, slot as u32).unwrap_or(NONE);
             }
         }
-        totals
+        self.slot_at.clear();
+        self.set_entry_count(entry_count);
+        let mut kept = vec![false; self.slots.len()];
+        for member in members {
+            let old = first.get(member.node).copied().filter(|&slot| slot != NONE);
+            let slot = match old {
+                Some(slot) => {
+                    first.insert(member.node, next[slot as usize]);
+                    kept[slot as usize] = true;
+                    self.release_users(slot);
+                    slot
+                }
+                None => self.allocate()?,
+            };
+            self.occupy(slot, member);
+        }
+        for slot in (0..kept.len()).filter(|&slot| !kept[slot]) {
+            // A slot that was free before may have been taken.
+            let entry = self.slots[slot].member.map(|member| member.entry as usize);
+            if entry.is_some_and(|entry| self.slot_at.get(entry) != Some(&(slot as u32))) {
+                self.free(slot as u32, arrays);
+            }
+        }
+        Ok(())
+    }
+
+    /// The members of these geometries and materials must be written again.
+    pub(super) fn mark_users(&mut self, geometries: &[GeometryKey], materials: &[MaterialKey]) {
+        let of_geometries = geometries.iter().flat_map(|&key| self.of_geometry.slots(key));
+        let of_materials = materials.iter().flat_map(|&key| self.of_material.slots(key));
+        let slots: Vec<u32> = of_geometries.chain(of_materials).copied().collect();
+        slots.into_iter().for_each(|slot| self.mark(slot));
+    }
+
+    /// The entry's member, if it has one, must be written again.
+    #[inline]
+    pub(super) fn mark_entry(&mut self, entry: usize) {
+        let slot = self.slot_at[entry];
+        if slot != NONE {
+            self.mark(slot);
+        }
+    }
+
+    /// All members must be written again.
+    pub(super) fn mark_all(&mut self) {
+        (0..self.slots.len())
+            .filter(|&i| self.slots[i].member.is_some())
+            .collect::<Vec<_>>()
+            .into_iter()
+            .for_each(|slot| self.mark(slot as u32));
+    }
+
+    fn mark(&mut self, slot: u32) {
+        if !std::mem::replace(&mut self.slots[slot as usize].is_stale, true) {
+            self.stale.push(slot);
+        }
+    }
+
+    fn allocate(&mut self) -> Result<u32> {
+        if let Some(slot) = self.free_slots.pop() {
+            return Ok(slot);
+        }
+        let (slot, limit) = (self.slots.len() as u32, PrimitiveRange::MAX_FIRST);
+        if slot >= limit {
+            let needed = u64::from(slot) + 1;
+            return Err(Error::Limit { what: "the instances array", needed, limit: limit.into(), hint: "" });
+        }
+        self.slots.push(Slot::default());
+        self.boxes.push(Aabb::EMPTY);
+        Ok(slot)
+    }
+
+    fn occupy(&mut self, slot: u32, member: Member) {
+        self.of_geometry.add(member.geometry, slot);
+        self.of_material.add(member.material, slot);
+        self.slot_at[member.entry as usize] = slot;
+        self.slots[slot as usize].member = Some(member);
+        self.mark(slot);
+    }
+
+    fn release_users(&mut self, slot: u32) {
+        if let Some(member) = self.slots[slot as usize].member {
+            self.of_geometry.remove(member.geometry, slot);
+            self.of_material.remove(member.material, slot);
+        }
+    }
+
+    fn free(&mut self, slot: u32, arrays: &mut DeviceArrays) {
+        self.release_users(slot);
+        if let Some(member) = self.slots[slot as usize].member.take() {
+            if let Some(at) = self.slot_at.get_mut(member.entry as usize).filter(|at| **at == slot) {
+                *at = NONE;
+            }
+        }
+        self.put(slot, bytemuck::Zeroable::zeroed(), Aabb::EMPTY, 0, arrays);
+        self.free_slots.push(slot);
     }
 }
 
-/// The device record and the world box of a member; zeros and an empty box if it cannot be hit.
-fn place(member: &Member, sources: &Sources<'_>) -> (Instance, Aabb) {
-    let nothing = (bytemuck::Zeroable::zeroed(), Aabb::EMPTY);
+/// Records.
+impl InstanceTable {
+    /// Writes the records of the members that must be; how many.
+    pub(super) fn write(&mut self, sources: &Sources<'_>, arrays: &mut DeviceArrays) -> usize {
+        let stale = std::mem::take(&mut self.stale);
+        let members = stale.par_iter().with_min_len(256).map(|&slot| self.slots[slot as usize].member);
+        let placed: Vec<_> = members.map(|member| member.map(|member| place(&member, sources))).collect();
+        let mut written = 0;
+        for (slot, placed) in stale.into_iter().zip(placed) {
+            self.slots[slot as usize].is_stale = false;
+            if let Some((record, bounds, triangles)) = placed {
+                self.put(slot, record, bounds, triangles, arrays);
+                written += 1;
+            }
+        }
+        if self.free_slots.len() == self.slots.len() {
+            // Nobody is left: start anew, with no more memory than that takes.
+            let slot_at = std::mem::take(&mut self.slot_at);
+            *self = Self { slot_at, ..Self::default() };
+            arrays.instances.truncate(0);
+            arrays.tlas_nodes.truncate(0);
+        }
+        written
+    }
+
+    fn put(&mut self, slot: u32, record: Instance, bounds: Aabb, triangles: usize, arrays: &mut DeviceArrays) {
+        let index = slot as usize;
+        arrays.instances.write(index, &[record]);
+        if self.boxes[index] != bounds {
+            self.totals.count(self.boxes[index], self.slots[index].triangles, false);
+            self.totals.count(bounds, triangles, true);
+            self.boxes[index] = bounds;
+            self.moved.push(slot);
+        } else if self.slots[index].triangles != triangles {
+            self.totals.count(bounds, self.slots[index].triangles, false);
+            self.totals.count(bounds, triangles, true);
+        }
+        self.slots[index].triangles = triangles;
+    }
+
+    /// Brings the top level up to date.
+    pub(super) fn update_top_level(&mut self, arrays: &mut DeviceArrays) -> Update {
+        let moved = std::mem::take(&mut self.moved);
+        self.top_level.update(&mut arrays.tlas_nodes, &self.boxes, &moved)
+    }
+
+    /// What the members are.
+    pub(super) fn totals(&self) -> Totals {
+        self.totals
+    }
+
+    /// The member in a device slot.
+    pub(super) fn member(&self, slot: u32) -> Option<&Member> {
+        self.slots.get(slot as usize)?.member.as_ref()
+    }
+
+    /// The geometries that members have.
+    pub(super) fn geometries(&self) -> &Users<GeometryKey> {
+        &self.of_geometry
+    }
+
+    pub(super) fn geometries_mut(&mut self) -> &mut Users<GeometryKey> {
+        &mut self.of_geometry
+    }
+
+    pub(super) fn materials_mut(&mut self) -> &mut Users<MaterialKey> {
+        &mut self.of_material
+    }
+
+    /// The materials that members have.
+    pub(super) fn materials(&self) -> &Users<MaterialKey> {
+        &self.of_material
+    }
+}
+
+impl Totals {
+    /// Counts a member in or out.
+    fn count(&mut self, bounds: Aabb, triangles: usize, enters: bool) {
+        let add = |total: &mut usize, n| *total = if enters { *total + n } else { *total - n };
+        match (bounds.is_empty(), triangles) {
+            (false, _) => {
+                add(&mut self.instances, 1);
+                add(&mut self.triangles, triangles);
+            }
+            (true, 0) => {}
+            (true, _) => add(&mut self.singular_instances, 1),
+        }
+    }
+}
+
+/// The slots that use each geometry, or each material.
+#[derive(Debug)]
+pub(super) struct Users<K: Key> {
+    slots: SecondaryMap<K, Vec<u32>>,
+    /// Where each slot stands in its list.
+    places: Vec<u32>,
+    /// Whether some key got its first user or lost its last.
+    changed: bool,
+}
+
+impl<K: Key> Default for Users<K> {
+    fn default() -> Self {
+        Self { slots: SecondaryMap::new(), places: Vec::new(), changed: false }
+    }
+}
+
+impl<K: Key> Users<K> {
+    /// The keys that have users.
+    pub(super) fn keys(&self) -> impl Iterator<Item = K> + '_ {
+        self.slots.keys()
+    }
+
+    pub(super) fn has(&self, key: K) -> bool {
+        self.slots.contains_key(key)
+    }
+
+    /// Whether some key got its first user or lost its last since [`forget_changes`](Self::forget_changes).
+    pub(super) fn changed(&self) -> bool {
+        self.changed
+    }
+
+    pub(super) fn forget_changes(&mut self) {
+        self.changed = false;
+    }
+
+    fn slots(&self, key: K) -> &[u32] {
+        self.slots.get(key).map_or(&[], Vec::as_slice)
+    }
+
+    fn add(&mut self, key: K, slot: u32) {
+        if !self.slots.contains_key(key) {
+            self.slots.insert(key, Vec::new());
+        }
+        let slots = &mut self.slots[key];
+        if slots.is_empty() {
+            self.changed = true;
+        }
+        if self.places.len() <= slot as usize {
+            self.places.resize(slot as usize + 1, 0);
+        }
+        self.places[slot as usize] = slots.len() as u32;
+        slots.push(slot);
+    }
+
+    fn remove(&mut self, key: K, slot: u32) {
+        let Some(slots) = self.slots.get_mut(key) else { return };
+        let place = self.places[slot as usize];
+        slots.swap_remove(place as usize);
+        if let Some(&other) = slots.get(place as usize) {
+            self.places[other as usize] = place;
+        }
+        if slots.is_empty() {
+            self.slots.remove(key);
+            self.changed = true;
+        }
+    }
+}
+
+/// The device record, the world box and the triangles of a member; zeros and an empty box if it cannot be hit.
+fn place(member: &Member, sources: &Sources<'_>) -> (Instance, Aabb, usize) {
+    let nothing = |triangles| (bytemuck::Zeroable::zeroed(), Aabb::EMPTY, triangles);
     let (Some(geometry), Some(material)) =
         (sources.geometries.get(member.geometry), sources.materials.get(member.material))
     else {
-        return nothing;
+        return nothing(0);
     };
-    let preorder = member.preorder as usize;
-    let world_from_local = &sources.hierarchy.worlds()[preorder];
+    let entry = member.entry as usize;
+    let world_from_local = sources.view.world(sources.hierarchy, entry);
     if geometry.nodes.is_empty() {
-        return nothing;
+        return nothing(geometry.triangle_count);
     }
-    let Some(placement) = Placement::new(world_from_local, sources.origin, &geometry.bounds) else { return nothing };
+    let Some(placement) = Placement::new(&world_from_local, sources.origin, &geometry.bounds) else {
+        return nothing(geometry.triangle_count);
+    };
     let indices = [geometry.nodes.start, geometry.triangles.start, geometry.streams.start, material.record.start];
-    let mask = sources.hierarchy.masks()[preorder];
+    let mask = sources.hierarchy.placed()[entry].mask;
     let mut flags = material.instance_flags;
     flags.set(InstanceFlags::THIN, material.needs.contains(Needs::REFRACTION) && !geometry.encloses());
-    (placement.instance(indices, mask, flags, member.node), placement.bounds)
+    (placement.instance(indices, mask, flags, member.node), placement.bounds, geometry.triangle_count)
 }

@@ -5,6 +5,7 @@ use std::ops::Range;
 use slotmap::SecondaryMap;
 
 use super::arena::Arena;
+use super::instance_table::Users;
 use super::{Needs, pack};
 use crate::Result;
 use crate::device::DeviceArrays;
@@ -51,13 +52,14 @@ impl MaterialTable {
         }
     }
 
-    /// Makes the table hold exactly the materials in `used` and their textures, as they are now.
+    /// Makes the table hold exactly the materials in `used` and their textures, as they are now. Returns those that were
+    /// stored, which may lie elsewhere than before.
     pub(super) fn update(
         &mut self,
         scene: &Scene,
-        used: &SecondaryMap<MaterialKey, ()>,
+        used: &Users<MaterialKey>,
         arrays: &mut DeviceArrays,
-    ) -> Result<()> {
+    ) -> Result<Vec<MaterialKey>> {
         let mut used_textures = SecondaryMap::new();
         for key in used.keys() {
             let slots = texture_slots(scene.material(key)?);
@@ -71,7 +73,7 @@ impl MaterialTable {
         let reads_stale =
             |m: &Material| texture_slots(m).into_iter().flatten().any(|(r, _)| stale.contains(&r.texture));
         let is_current = |key, e: &Entry| {
-            used.contains_key(key) && scene.material(key).is_ok_and(|m| *m == e.source) && !reads_stale(&e.source)
+            used.has(key) && scene.material(key).is_ok_and(|m| *m == e.source) && !reads_stale(&e.source)
         };
         let gone: Vec<_> = self.materials.iter().filter(|&(k, e)| !is_current(k, e)).map(|(k, _)| k).collect();
         for entry in gone.into_iter().filter_map(|key| self.materials.remove(key)) {
@@ -91,13 +93,12 @@ impl MaterialTable {
                 self.textures.insert(key, TextureEntry { source, texels });
             }
         }
-        for key in used.keys() {
-            if !self.materials.contains_key(key) {
-                let entry = self.store(scene, scene.material(key)?, arrays)?;
-                self.materials.insert(key, entry);
-            }
+        let missing: Vec<MaterialKey> = used.keys().filter(|&key| !self.materials.contains_key(key)).collect();
+        for &key in &missing {
+            let entry = self.store(scene, scene.material(key)?, arrays)?;
+            self.materials.insert(key, entry);
         }
-        Ok(())
+        Ok(missing)
     }
 
     /// The entry of a material that was in `used` at the last update.

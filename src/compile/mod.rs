@@ -2,15 +2,19 @@
 
 mod arena;
 mod compiler;
+mod dirty;
 mod enclosure;
 mod geometry_cache;
 mod instance_table;
 mod material_table;
 mod needs;
+mod observer;
 mod pack;
 mod report;
+mod view_dependent;
 
 pub use compiler::Compiler;
 pub use needs::{MAX_MIRROR_ROUGHNESS, Needs};
+pub use observer::{ImageHeight, Observer};
+pub use report::CompileReport;
 pub(crate) use report::seconds;
-pub use report::{CompileReport, RebuildReason, TlasUpdate};

@@ -1,59 +1,22 @@
 //! What a compile did, and why.
 
-use std::fmt;
 use std::time::Duration;
 
 use serde::Serialize;
 
 use super::Needs;
-
-/// What became of the top-level structure.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-#[non_exhaustive]
-pub enum TlasUpdate {
-    /// Nothing in it changed.
-    #[default]
-    Kept,
-    /// It was built anew.
-    Rebuilt(RebuildReason),
-}
-
-/// Why the top-level structure was rebuilt. Where several apply, the first in this order is given.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-#[non_exhaustive]
-pub enum RebuildReason {
-    /// The renderer had not seen this scene yet, or had fallen behind its change log.
-    NewScene,
-    /// Nodes were added, removed, moved in the hierarchy, shown or hidden, or got another core, geometry or material.
-    Structure,
-    /// The camera went so far from the render origin that the origin followed it.
-    Rebased,
-    /// Only transforms changed: bottom-level structures stay as they were.
-    Moved {
-        /// How many instances moved.
-        instances: usize,
-    },
-}
-
-impl fmt::Display for TlasUpdate {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Kept => f.write_str("kept"),
-            Self::Rebuilt(RebuildReason::NewScene) => f.write_str("rebuilt (new scene)"),
-            Self::Rebuilt(RebuildReason::Structure) => f.write_str("rebuilt (structure changed)"),
-            Self::Rebuilt(RebuildReason::Rebased) => f.write_str("rebuilt (render origin moved)"),
-            Self::Rebuilt(RebuildReason::Moved { instances }) => write!(f, "rebuilt ({instances} moved)"),
-        }
-    }
-}
+use crate::accel::Update;
 
 /// What one [`Compiler::compile`](super::Compiler::compile) did.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct CompileReport {
     /// What became of the top level.
-    pub tlas: TlasUpdate,
+    pub tlas: Update,
+    /// Whether the camera went so far from the render origin that the origin followed it: then every instance was written
+    /// anew.
+    pub rebased: bool,
+    /// Instance records written.
+    pub instances_written: usize,
     /// Bottom-level structures built.
     pub blas_built: usize,
     /// Triangles in them.
@@ -95,7 +58,9 @@ impl CompileReport {
     /// The report of the next compile, if it finds nothing changed.
     pub(super) fn as_unchanged(&self) -> Self {
         Self {
-            tlas: TlasUpdate::Kept,
+            tlas: Update::Kept,
+            rebased: false,
+            instances_written: 0,
             blas_built: 0,
             blas_built_triangles: 0,
             blas_freed: 0,

@@ -127,6 +127,34 @@ impl<T: Pod> DeviceBuffer<T> {
         self.write(0, values);
     }
 
+    /// Overwrites the element at `index`, which must be there; marked as changed unless it is the same, bit by bit.
+    pub(crate) fn set(&mut self, index: usize, value: T) {
+        if bytemuck::bytes_of(&self.data[index]) != bytemuck::bytes_of(&value) {
+            self.data[index] = value;
+            self.mark(index..index + 1);
+        }
+    }
+
+    /// Gives the array `len` elements, all marked as changed, for the caller to overwrite: what they hold is unspecified.
+    pub(crate) fn rewrite(&mut self, len: usize) -> &mut [T] {
+        self.truncate(len);
+        if self.data.capacity() < len {
+            // Fresh zeros cost nothing until they are written to, and threads then do that side by side.
+            self.data = bytemuck::zeroed_vec(len);
+        }
+        self.data.resize(len, T::zeroed());
+        self.dirty.clear();
+        if len > 0 {
+            self.mark(0..len);
+        }
+        &mut self.data
+    }
+
+    /// The elements, for a caller that [marks](Self::mark) those it changes.
+    pub(crate) fn unmarked_mut(&mut self) -> &mut [T] {
+        &mut self.data
+    }
+
     /// Drops all elements from index `len` on.
     pub fn truncate(&mut self, len: usize) {
         self.data.truncate(len);
@@ -151,7 +179,8 @@ impl<T: Pod> DeviceBuffer<T> {
         merged
     }
 
-    fn mark(&mut self, range: Range<usize>) {
+    /// Marks a range as changed. O(1): ranges are sorted and merged when they are taken.
+    pub(crate) fn mark(&mut self, range: Range<usize>) {
         match self.dirty.last_mut() {
             Some(last) if range.start <= last.end && range.end >= last.start => {
                 *last = last.start.min(range.start)..last.end.max(range.end);

@@ -21,6 +21,24 @@ pub struct Node {
     pub primitives: PrimitiveRange,
 }
 
+impl Node {
+    /// No box of a node in use has a corner this far out: [`f32::MAX`] less one ulp.
+    const UNUSED: f32 = f32::from_bits(f32::MAX.to_bits() - 1);
+
+    /// A leaf of the top level that holds nothing: an inner node without children, so that traversal goes on with the next
+    /// node whether it meets the box or not. The box lies where no ray comes by. It must not be the last of an array. An inner
+    /// node with nothing but unused leaves below it has the same box.
+    pub fn unused(escape_index: u32) -> Self {
+        Self { min: [Self::UNUSED; 3], escape_index, max: [f32::MAX; 3], primitives: PrimitiveRange::INNER }
+    }
+
+    /// Whether there is nothing in it or below it, see [`unused`](Self::unused). A walk that visits the children of inner nodes
+    /// must leave these out.
+    pub fn is_unused(&self) -> bool {
+        self.min[0] >= Self::UNUSED
+    }
+}
+
 /// What a leaf holds: `first` in the lower 28 bits, `count` in the upper 4; an inner node has count 0.
 ///
 /// In a bottom-level structure `first` counts triangles from the instance's `first_triangle`; in the top level it is an

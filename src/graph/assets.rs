@@ -1,9 +1,10 @@
 //! Geometries, materials and textures: added, replaced, and freed when their last user goes.
 
 use super::changes::Change;
+use super::core::CoreSlot;
 use super::ranges::{check_material, check_texture};
 use super::scene::stale;
-use super::{Core, Geometry, GeometryKey, Material, MaterialKey, Scene, Texture, TextureKey};
+use super::{Core, CoreKey, Geometry, GeometryKey, Material, MaterialKey, Scene, Texture, TextureKey};
 use crate::Result;
 use crate::math::{Aabb, Bounds};
 
@@ -82,7 +83,7 @@ impl Scene {
         self.geometries.iter().map(|(key, used)| (key, &used.value.geometry))
     }
 
-    /// Replaces a geometry wherever it is used. O(vertices + triangles), to check it.
+    /// Replaces a geometry wherever it is used. O(vertices + triangles), to check it; if its box changes, also O(cores).
     ///
     /// # Errors
     /// [`Error::StaleKey`](crate::Error::StaleKey); [`Error::InvalidGeometry`](crate::Error::InvalidGeometry) as
@@ -90,7 +91,12 @@ impl Scene {
     pub fn set_geometry(&mut self, key: GeometryKey, geometry: Geometry) -> Result<()> {
         let old = self.stored_geometry(key)?;
         if old.geometry != geometry {
-            self.geometries[key].value = StoredGeometry::new(geometry, old.version + 1)?;
+            let (new, old_bounds) = (StoredGeometry::new(geometry, old.version + 1)?, old.bounds);
+            let resized = new.bounds != old_bounds;
+            self.geometries[key].value = new;
+            if resized {
+                self.boxes_changed(key);
+            }
             self.record(key, Change::DATA);
         }
         Ok(())
@@ -213,21 +219,36 @@ impl Scene {
     }
 
     /// Counts a core's use of what it refers to.
-    pub(super) fn acquire_assets(&mut self, core: &Core) {
-        if let Core::Geometry { geometry, material } = *core {
+    pub(super) fn acquire_assets(&mut self, key: CoreKey, core: &Core) {
+        self.link_target(key, core);
+        if let Some(geometry) = core.geometry() {
             self.geometries[geometry].user_count += 1;
+        }
+        if let Some(material) = core.material() {
             self.materials[material].user_count += 1;
         }
     }
 
     /// Ends a core's use of what it refers to, and frees what nobody else uses.
-    pub(super) fn release_assets(&mut self, core: &Core) {
-        let Core::Geometry { geometry, material } = *core else { return };
-        if release(&mut self.geometries[geometry]) {
+    pub(super) fn release_assets(&mut self, key: CoreKey, core: &Core) {
+        self.unlink_target(key, core);
+        if let Some(geometry) = core.geometry()
+            && release(&mut self.geometries[geometry])
+        {
             self.free_geometry(geometry);
         }
-        if release(&mut self.materials[material]) {
+        if let Some(material) = core.material()
+            && release(&mut self.materials[material])
+        {
             self.free_material(material);
+        }
+    }
+
+    /// Tells the hierarchy that a geometry has another box. O(cores + its users).
+    fn boxes_changed(&mut self, key: GeometryKey) {
+        let users = |slot: &CoreSlot| std::iter::successors(slot.first_user, |&user| self.nodes[user].next_user);
+        for slot in self.cores.values().filter(|slot| slot.core.geometry() == Some(key)) {
+            users(slot).for_each(|user| self.hierarchy.box_changed(user));
         }
     }
 

@@ -39,6 +39,8 @@ bitflags::bitflags! {
         const DATA = 256;
         /// A core's kind: a geometry became a light, say. Its data changed with it.
         const KIND = 512;
+        /// A node's children: one came, went or changed places.
+        const CHILDREN = 1024;
     }
 }
 

@@ -1,6 +1,6 @@
 //! Cores: what a node is. Nodes that share a core share its edits.
 
-use super::{Camera, CoreKey, GeometryKey, Light, MaterialKey, NodeKey, Transform};
+use super::{Billboard, Camera, CoreKey, GeometryKey, Light, Lod, MaterialKey, NodeKey, Switch, Transform};
 
 /// What a node is.
 #[derive(Clone, Debug, PartialEq)]
@@ -10,6 +10,19 @@ pub enum Core {
     Group,
     /// Moves its children into the space of its parent.
     Transform(Transform),
+    /// Shows some of its children.
+    Switch(Switch),
+    /// Shows the child that suits the distance or size at which it is seen.
+    Lod(Lod),
+    /// Turns its children towards the eye.
+    Billboard(Billboard),
+    /// Gives all geometry below it this material. Of several on the way down, the **outermost** counts, as in OpenSG: what
+    /// stands above overrules what stands below, so that a whole part can be highlighted by one node.
+    MaterialGroup(MaterialKey),
+    /// Shows another node with everything below it here too, without copying anything: instancing of whole subtrees,
+    /// nested as deep as one likes. The other node's own transform applies, those above it do not. It still stands where it
+    /// stands; to see only its instances, put it below a hidden node. When it is removed, this becomes a group.
+    Instance(NodeKey),
     /// Triangles of one material.
     Geometry {
         /// The triangles.
@@ -29,17 +42,38 @@ impl Core {
         match self {
             Self::Group => "group",
             Self::Transform(_) => "transform",
+            Self::Switch(_) => "switch",
+            Self::Lod(_) => "level of detail",
+            Self::Billboard(_) => "billboard",
+            Self::MaterialGroup(_) => "material group",
+            Self::Instance(_) => "instance",
             Self::Geometry { .. } => "geometry",
             Self::Light(_) => "light",
             Self::Camera(_) => "camera",
+        }
+    }
+
+    /// The geometry that it refers to.
+    pub fn geometry(&self) -> Option<GeometryKey> {
+        match *self {
+            Self::Geometry { geometry, .. } => Some(geometry),
+            _ => None,
+        }
+    }
+
+    /// The material that it refers to.
+    pub fn material(&self) -> Option<MaterialKey> {
+        match *self {
+            Self::Geometry { material, .. } | Self::MaterialGroup(material) => Some(material),
+            _ => None,
         }
     }
 }
 
 /// Where a node's core comes from: a new one, or one that other nodes may share.
 ///
-/// Calls that take `impl Into<CoreSource>` accept a [`Core`], a [`Transform`], a [`Light`] or a [`Camera`] (each makes
-/// a new core) or a [`CoreKey`] (shares it).
+/// Calls that take `impl Into<CoreSource>` accept a [`Core`] or what some cores consist of, as a [`Transform`] or a
+/// [`Light`] (each makes a new core), or a [`CoreKey`] (shares it).
 #[derive(Clone, Debug, PartialEq)]
 pub enum CoreSource {
     /// A core of the node's own, until somebody shares it.
@@ -60,23 +94,17 @@ impl From<CoreKey> for CoreSource {
     }
 }
 
-impl From<Transform> for CoreSource {
-    fn from(transform: Transform) -> Self {
-        Self::New(Core::Transform(transform))
-    }
+macro_rules! core_source_from {
+    ($($part:ident),*) => {
+        $(impl From<$part> for CoreSource {
+            fn from(part: $part) -> Self {
+                Self::New(Core::$part(part))
+            }
+        })*
+    };
 }
 
-impl From<Light> for CoreSource {
-    fn from(light: Light) -> Self {
-        Self::New(Core::Light(light))
-    }
-}
-
-impl From<Camera> for CoreSource {
-    fn from(camera: Camera) -> Self {
-        Self::New(Core::Camera(camera))
-    }
-}
+core_source_from!(Transform, Switch, Lod, Billboard, Light, Camera);
 
 /// A core as the scene stores it, with the list of its users threaded through their nodes.
 #[derive(Debug)]

@@ -52,7 +52,8 @@ impl Scene {
     ///
     /// # Errors
     /// [`Error::StaleKey`] for the node or what the core refers to; [`Error::OutOfRange`] for a bad number in a new
-    /// core; [`Error::Root`] for the root and a core other than a group.
+    /// core; [`Error::Root`] for the root and a core other than a group; [`Error::Cycle`] if the core instances the node,
+    /// or something that shows it.
     pub fn set_core(&mut self, node: NodeKey, core: impl Into<CoreSource>) -> Result<()> {
         let old = self.node(node)?.core;
         let source = core.into();
@@ -64,20 +65,26 @@ impl Scene {
             CoreSource::New(core) if self.cores[old].user_count == 1 && self.cores[old].core == *core => return Ok(()),
             _ => {}
         }
+        match &source {
+            CoreSource::New(core) => self.check_target(node, core)?,
+            CoreSource::Shared(key) => self.check_target(node, self.core_of(*key)?)?,
+        }
         let new = self.obtain_core(source)?;
+        let was = Structural::of(&self.cores[old].core);
         self.unlink_user(node, old);
         self.link_user(node, new);
-        self.node_changed(node);
+        self.core_changed(node, was);
         self.record(node, Change::CORE);
         self.release_core_if_unused(old);
         Ok(())
     }
 
-    /// Changes a core, and with it every node that uses it. O(1), or O(users) if its transform changes.
+    /// Changes a core, and with it every node that uses it. O(users).
     ///
     /// # Errors
     /// [`Error::StaleKey`] for the core or what it is to refer to; [`Error::OutOfRange`] for a bad number;
-    /// [`Error::Root`] if the root uses it and it would no longer be a group.
+    /// [`Error::Root`] if the root uses it and it would no longer be a group; [`Error::Cycle`] if it would instance one of
+    /// its users, or something that shows one.
     pub fn edit_core(&mut self, key: CoreKey, core: Core) -> Result<()> {
         if self.core_slot(key)?.core == core {
             return Ok(());
@@ -86,7 +93,10 @@ impl Scene {
             self.check_root_core(&CoreSource::New(core.clone()))?;
         }
         self.check_core(&core)?;
-        self.acquire_assets(&core);
+        if let Core::Instance(_) = core {
+            self.users(key)?.try_for_each(|user| self.check_target(user, &core))?;
+        }
+        self.acquire_assets(key, &core);
         let old = std::mem::replace(&mut self.cores[key].core, core);
         let new = &self.cores[key].core;
         let moves = matches!(old, Core::Transform(_)) || matches!(new, Core::Transform(_));
@@ -96,11 +106,14 @@ impl Scene {
         } else if !moves {
             change |= Change::DATA;
         }
-        if change.contains(Change::TRANSFORM) {
-            self.users_moved(key);
+        let was = Structural::of(&old);
+        let mut next = self.cores[key].first_user;
+        while let Some(user) = next {
+            self.core_changed(user, was);
+            next = self.nodes[user].next_user;
         }
         self.record(key, change);
-        self.release_assets(&old);
+        self.release_assets(key, &old);
         Ok(())
     }
 
@@ -132,8 +145,8 @@ impl Scene {
             CoreSource::Shared(key) => self.core_slot(key).map(|_| key),
             CoreSource::New(core) => {
                 self.check_core(&core)?;
-                self.acquire_assets(&core);
-                let key = self.cores.insert(CoreSlot::new(core));
+                let key = self.cores.insert(CoreSlot::new(core.clone()));
+                self.acquire_assets(key, &core);
                 self.record(key, Change::ADDED);
                 Ok(key)
             }
@@ -146,7 +159,7 @@ impl Scene {
             && let Some(slot) = self.cores.remove(key)
         {
             self.record(key, Change::REMOVED);
-            self.release_assets(&slot.core);
+            self.release_assets(key, &slot.core);
         }
     }
 
@@ -156,14 +169,18 @@ impl Scene {
         self.hierarchy.node_changed(key, node, &self.cores[node.core].core);
     }
 
-    /// Tells the hierarchy that the transform of a core is another.
-    fn users_moved(&mut self, key: CoreKey) {
-        let slot = &self.cores[key];
-        let mut next = slot.first_user;
-        while let Some(user) = next {
-            let node = &self.nodes[user];
-            self.hierarchy.node_changed(user, node, &slot.core);
-            next = node.next_user;
+    /// Tells the hierarchy that a node's core is another than it was.
+    fn core_changed(&mut self, key: NodeKey, was: Structural) {
+        self.node_changed(key);
+        let is = Structural::of(&self.cores[self.nodes[key].core].core);
+        if was.switch || is.switch {
+            self.hierarchy.switch_changed(key);
+        }
+        if was.instance || is.instance {
+            self.hierarchy.instance_changed(key);
+        }
+        if was.geometry || is.geometry {
+            self.hierarchy.box_changed(key);
         }
     }
 
@@ -178,11 +195,34 @@ impl Scene {
         }
     }
 
-    fn check_core(&self, core: &Core) -> Result<()> {
-        if let Core::Geometry { geometry, material } = *core {
+    pub(super) fn check_core(&self, core: &Core) -> Result<()> {
+        if let Some(geometry) = core.geometry() {
             self.geometries.get(geometry).ok_or_else(|| stale(geometry))?;
+        }
+        if let Some(material) = core.material() {
             self.materials.get(material).ok_or_else(|| stale(material))?;
         }
+        if let Core::Instance(target) = *core {
+            self.node(target)?;
+        }
         check_core(core)
+    }
+}
+
+/// What a core means to others than its node.
+#[derive(Clone, Copy)]
+struct Structural {
+    switch: bool,
+    instance: bool,
+    geometry: bool,
+}
+
+impl Structural {
+    fn of(core: &Core) -> Self {
+        Self {
+            switch: matches!(core, Core::Switch(_)),
+            instance: matches!(core, Core::Instance(_)),
+            geometry: matches!(core, Core::Geometry { .. }),
+        }
     }
 }

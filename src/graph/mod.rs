@@ -4,6 +4,7 @@
 //! `assets`, `query`.
 
 mod assets;
+mod billboard;
 mod bit_set;
 mod camera;
 mod changes;
@@ -11,27 +12,33 @@ mod core;
 mod cores;
 mod geometry;
 mod hierarchy;
+mod instances;
 mod key;
 mod light;
 mod links;
+mod lod;
 mod material;
 mod node;
 mod query;
 mod ranges;
 mod scene;
 mod structure;
+mod switch;
 mod transform;
 mod validate;
 
+pub use billboard::Billboard;
 pub use camera::Camera;
 pub use changes::{Change, Changes, Cursor};
 pub use core::{Core, CoreSource};
 pub use geometry::Geometry;
-pub use hierarchy::Hierarchy;
+pub use hierarchy::{Hierarchy, NodePath, Placed};
 pub use key::{CoreKey, GeometryKey, MaterialKey, NodeKey, Object, TextureKey};
 pub use light::{Light, LightKind};
+pub use lod::{Lod, LodMeasure};
 pub use material::{AlphaMode, Filter, Material, Sampler, Texture, TextureRef, Wrap};
 pub use node::Keep;
 pub use query::{Ancestors, Children, Descendants, Users};
 pub use scene::{Scene, SceneId};
+pub use switch::Switch;
 pub use transform::Transform;

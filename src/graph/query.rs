@@ -68,54 +68,28 @@ impl Scene {
     pub fn world(&self, node: NodeKey) -> Result<DAffine3> {
         let own = self.core(node)?;
         if self.hierarchy.is_up_to_date()
-            && let Some(index) = self.hierarchy.index(node)
+            && let Some(entry) = self.hierarchy.entry(node)
         {
-            return Ok(self.hierarchy.worlds()[index]);
+            return Ok(self.hierarchy.placed()[entry].world);
         }
         let above = self.ancestors(node)?.map(|ancestor| &self.cores[self.nodes[ancestor].core].core);
         let locals: Vec<_> = std::iter::once(own).chain(above).filter_map(local_affine).collect();
         Ok(locals.into_iter().rev().fold(DAffine3::IDENTITY, |world, local| world * local))
     }
 
-    /// The world space box around the boxes of all geometry at and below the node, shown or not. Empty without any.
-    /// O(nodes below).
+    /// The world space box around the boxes of all geometry at and below the node, shown or not, instances included.
+    /// Empty without any. O(what changed since the last such call + log n), O(nodes) the first time.
     ///
     /// It holds all triangles, and is tight unless geometry is rotated: then it bounds the rotated boxes.
     ///
     /// # Errors
-    /// [`Error::StaleKey`](crate::Error::StaleKey).
-    pub fn world_bounds(&self, node: NodeKey) -> Result<Bounds> {
-        // The worlds of the ancestors, from the node's parent down to the current node's parent.
-        let mut worlds = vec![self.parent_world(node)?];
-        let mut world = worlds[0];
-        let mut bounds = Bounds::EMPTY;
-        let mut current = node;
-        loop {
-            let slot = &self.nodes[current];
-            let core = &self.cores[slot.core].core;
-            let own_world = local_affine(core).map_or(world, |local| world * local);
-            if let Core::Geometry { geometry, .. } = *core {
-                bounds = bounds.union(self.geometries[geometry].value.bounds.transformed(&own_world));
-            }
-            if let Some(child) = slot.first_child {
-                worlds.push(own_world);
-                (current, world) = (child, own_world);
-                continue;
-            }
-            loop {
-                if current == node {
-                    return Ok(bounds);
-                }
-                let slot = &self.nodes[current];
-                if let Some(sibling) = slot.next_sibling {
-                    current = sibling;
-                    break;
-                }
-                worlds.pop();
-                let (Some(parent), Some(&above)) = (slot.parent, worlds.last()) else { return Ok(bounds) };
-                (current, world) = (parent, above);
-            }
-        }
+    /// [`Error::StaleKey`](crate::Error::StaleKey); as [`hierarchy`](Self::hierarchy).
+    pub fn world_bounds(&mut self, node: NodeKey) -> Result<Bounds> {
+        self.node(node)?;
+        let (hierarchy, tree) = self.hierarchy_and_tree();
+        hierarchy.update(tree)?;
+        let entry = hierarchy.entry(node);
+        Ok(entry.map_or(Bounds::EMPTY, |entry| hierarchy.world_bounds(tree, entry)))
     }
 
     /// The world transform that a node's own transform is applied to.

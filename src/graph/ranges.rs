@@ -3,20 +3,44 @@
 use std::f32::consts::{FRAC_PI_2, PI};
 use std::fmt::Debug;
 
-use super::{AlphaMode, Camera, Core, Light, LightKind, Material, Texture, TextureRef};
+use super::{AlphaMode, Billboard, Camera, Core, Light, LightKind, Lod, LodMeasure, Material, Texture, TextureRef};
 use crate::{Error, Result};
 
 /// Checks the numbers in a core, not the keys.
 pub(super) fn check_core(core: &Core) -> Result<()> {
     match core {
-        Core::Group | Core::Geometry { .. } => Ok(()),
+        Core::Group | Core::Switch(_) | Core::MaterialGroup(_) | Core::Instance(_) | Core::Geometry { .. } => Ok(()),
         // The matrix too: finite factors can have an infinite product.
         Core::Transform(transform) => {
             let finite = transform.is_finite() && transform.to_affine().is_finite();
             require(finite, "transform", transform, "finite")
         }
+        Core::Lod(lod) => check_lod(lod),
+        Core::Billboard(Billboard::Free) => Ok(()),
+        Core::Billboard(Billboard::Axis(axis)) => {
+            let length = axis.length();
+            require(length > 0.0 && length.is_finite(), "billboard axis", axis, "finite and not 0")
+        }
         Core::Light(light) => check_light(light),
         Core::Camera(camera) => check_camera(camera),
+    }
+}
+
+fn check_lod(lod: &Lod) -> Result<()> {
+    require(lod.center.is_finite(), "centre of levels of detail", &lod.center, "finite")?;
+    let hysteresis = lod.hysteresis;
+    require((0.0..1.0).contains(&hysteresis), "hysteresis of levels of detail", &hysteresis, "at least 0 and below 1")?;
+    let is_positive = |value: &f64| *value > 0.0 && value.is_finite();
+    require(lod.limits.iter().all(is_positive), "limits of levels of detail", &lod.limits, "finite and above 0")?;
+    match lod.measure {
+        LodMeasure::Distance => {
+            require(lod.limits.is_sorted(), "limits of levels of detail", &lod.limits, "ascending distances")
+        }
+        LodMeasure::ProjectedSize { radius } => {
+            require(is_positive(&radius), "radius of levels of detail", &radius, "finite and above 0")?;
+            let descending = lod.limits.iter().rev().is_sorted();
+            require(descending, "limits of levels of detail", &lod.limits, "descending sizes")
+        }
     }
 }
 

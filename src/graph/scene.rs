@@ -1,5 +1,6 @@
 //! The scene: owner of all nodes, cores, geometries, materials and textures.
 
+use std::collections::HashMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use slotmap::SlotMap;
@@ -7,7 +8,7 @@ use slotmap::SlotMap;
 use super::assets::{StoredGeometry, Used};
 use super::changes::{Change, ChangeLog, Changes, Cursor};
 use super::core::CoreSlot;
-use super::hierarchy::Hierarchy;
+use super::hierarchy::{Hierarchy, Tree};
 use super::node::Node;
 use super::{Core, CoreKey, GeometryKey, Material, MaterialKey, NodeKey, Object, Texture, TextureKey};
 use crate::{Error, Result};
@@ -66,6 +67,8 @@ pub struct Scene {
     pub(super) textures: SlotMap<TextureKey, Used<Texture>>,
     pub(super) log: ChangeLog,
     pub(super) hierarchy: Hierarchy,
+    /// The cores that instance each node.
+    pub(super) instancers: HashMap<NodeKey, Vec<CoreKey>>,
     revision: u64,
 }
 
@@ -96,7 +99,8 @@ impl Scene {
             materials: SlotMap::with_key(),
             textures: SlotMap::with_key(),
             log: ChangeLog::default(),
-            hierarchy: Hierarchy::new(),
+            hierarchy: Hierarchy::default(),
+            instancers: HashMap::new(),
             revision: 0,
         };
         scene.link_user(scene.root, core);
@@ -192,16 +196,36 @@ impl Scene {
         changes
     }
 
-    /// Brings the preorder arrays up to date and gives them out. O(1) where nothing changed, O(subtrees changed) after
-    /// changes of transforms, masks and visibility, O(nodes) after structural changes.
-    pub fn hierarchy(&mut self) -> &Hierarchy {
-        self.with_hierarchy().1
+    /// Brings the flattened arrays up to date and gives them out. O(1) where nothing changed, else O(what changed) with
+    /// all below it, amortised.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] if instances of instances make more than [`Hierarchy::MAX_INSTANCED`] entries.
+    pub fn hierarchy(&mut self) -> Result<&Hierarchy> {
+        Ok(self.with_hierarchy()?.1)
     }
 
     /// As [`hierarchy`](Self::hierarchy), together with the scene that it describes.
-    pub fn with_hierarchy(&mut self) -> (&Self, &Hierarchy) {
-        self.hierarchy.update(self.root, &self.nodes, &self.cores);
-        (self, &self.hierarchy)
+    ///
+    /// # Errors
+    /// As [`hierarchy`](Self::hierarchy).
+    pub fn with_hierarchy(&mut self) -> Result<(&Self, &Hierarchy)> {
+        let (hierarchy, tree) = self.hierarchy_and_tree();
+        hierarchy.update(tree)?;
+        Ok((self, &self.hierarchy))
+    }
+
+    /// The hierarchy, and what it shows.
+    pub(super) fn hierarchy_and_tree(&mut self) -> (&mut Hierarchy, Tree<'_>) {
+        let Self { root, nodes, cores, geometries, instancers, .. } = self;
+        let has_instances = !instancers.is_empty();
+        (&mut self.hierarchy, Tree { root: *root, nodes, cores, geometries, has_instances })
+    }
+
+    /// What a hierarchy shows.
+    pub(super) fn tree(&self) -> Tree<'_> {
+        let has_instances = !self.instancers.is_empty();
+        Tree { root: self.root, nodes: &self.nodes, cores: &self.cores, geometries: &self.geometries, has_instances }
     }
 
     /// Counts and logs one change.

@@ -13,20 +13,28 @@ impl Scene {
     ///
     /// # Errors
     /// [`Error::StaleKey`] for the parent or what the core refers to; [`Error::OutOfRange`] for a bad number in a new
-    /// core.
+    /// core; [`Error::Cycle`] if the core instances the parent, or something that shows it.
     pub fn add(&mut self, parent: NodeKey, core: impl Into<CoreSource>) -> Result<NodeKey> {
         self.node(parent)?;
-        let core = self.obtain_core(core.into())?;
+        let source = core.into();
+        if let CoreSource::New(core @ Core::Instance(_)) = &source {
+            self.check_core(core)?;
+            self.check_target(parent, core)?;
+        } else if let CoreSource::Shared(key) = source {
+            self.check_target(parent, self.core_of(key)?)?;
+        }
+        let core = self.obtain_core(source)?;
         let node = self.nodes.insert(Node::new(core));
         self.link_user(node, core);
         self.link_child(node, parent);
-        self.hierarchy.structure_changed();
+        self.hierarchy.node_planted(node);
         self.record(node, Change::ADDED);
+        self.children_changed(parent);
         Ok(node)
     }
 
     /// Removes a node and everything below it, and frees the cores, geometries, materials and textures that only these
-    /// used. O(nodes removed).
+    /// used. Instances of what is removed become groups. O(nodes removed).
     ///
     /// # Errors
     /// [`Error::StaleKey`]; [`Error::Root`] for the root.
@@ -35,8 +43,14 @@ impl Scene {
         if node == self.root {
             return Err(Error::Root { attempt: "removed" });
         }
+        if !self.instancers.is_empty() {
+            let nodes: Vec<NodeKey> = self.descendants(node)?.collect();
+            nodes.into_iter().try_for_each(|node| self.end_instances(node))?;
+        }
+        self.hierarchy.subtree_removed(node);
+        let parent = self.nodes[node].parent;
         self.unlink_child(node);
-        self.hierarchy.structure_changed();
+        parent.into_iter().for_each(|parent| self.children_changed(parent));
 
         // Bottom up, so that a node's links are there as long as they are needed.
         let mut current = self.first_leaf(node);
@@ -62,7 +76,8 @@ impl Scene {
     /// where they are.
     ///
     /// # Errors
-    /// [`Error::StaleKey`]; [`Error::Root`] for the root; [`Error::Cycle`] if `parent` is `node` or below it. With
+    /// [`Error::StaleKey`]; [`Error::Root`] for the root; [`Error::Cycle`] if `parent` is `node`, or below it, or shown
+    /// by an instance below it. With
     /// [`Keep::World`] also [`Error::WrongCore`] if the node has no transform, and [`Error::Singular`] if the new
     /// parent's world transform cannot be inverted: some scale above it is 0, or too large or small for f64.
     pub fn reparent(&mut self, node: NodeKey, parent: NodeKey, keep: Keep) -> Result<()> {
@@ -71,18 +86,20 @@ impl Scene {
         if node == self.root {
             return Err(Error::Root { attempt: "moved" });
         }
-        if node == parent || self.ancestors(parent)?.any(|ancestor| ancestor == node) {
+        if self.is_at_or_above(node, parent) {
             return Err(Error::Cycle { node: node.into(), parent: parent.into() });
         }
         let local = match keep {
             Keep::Local => None,
             Keep::World => self.local_below(node, parent)?,
         };
-        if self.nodes[node].parent != Some(parent) {
+        let old_parent = self.nodes[node].parent;
+        if old_parent != Some(parent) {
             self.unlink_child(node);
             self.link_child(node, parent);
-            self.hierarchy.structure_changed();
+            self.hierarchy.node_planted(node);
             self.record(node, Change::PARENT);
+            old_parent.into_iter().chain([parent]).for_each(|parent| self.children_changed(parent));
         }
         match local {
             None => Ok(()),
@@ -179,6 +196,14 @@ impl Scene {
         } else {
             self.set_local(node, local)
         }
+    }
+
+    /// Notes that a child came, went or changed places.
+    fn children_changed(&mut self, parent: NodeKey) {
+        if matches!(self.cores[self.nodes[parent].core].core, Core::Switch(_)) {
+            self.hierarchy.switch_changed(parent);
+        }
+        self.record(parent, Change::CHILDREN);
     }
 
     /// The first node without children below `node`, going down by first children.

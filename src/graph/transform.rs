@@ -15,6 +15,20 @@ pub enum Transform {
         /// Scale along the local axes; negative mirrors.
         scale: DVec3,
     },
+    /// Scale and rotate about a pivot, then translate: OpenSG's `ComponentTransform`. A point p goes to
+    /// translation + pivot + rotation * scale_rotation * scale * scale_rotation^-1 * (p - pivot).
+    Pivoted {
+        /// Translation, in the parent's space.
+        translation: DVec3,
+        /// Unit quaternion.
+        rotation: DQuat,
+        /// Scale along the axes that `scale_rotation` turns; negative mirrors.
+        scale: DVec3,
+        /// Unit quaternion that turns the axes of the scale.
+        scale_rotation: DQuat,
+        /// The point that rotation and scale leave where it is.
+        pivot: DVec3,
+    },
     /// Any affine matrix.
     Matrix(DAffine3),
 }
@@ -56,22 +70,34 @@ impl Transform {
     /// The same with this rotation (a unit quaternion); a shear, which only a matrix can have, is lost.
     #[must_use]
     pub fn with_rotation(self, rotation: DQuat) -> Self {
+        if let Self::Pivoted { translation, scale, scale_rotation, pivot, .. } = self {
+            return Self::Pivoted { translation, rotation, scale, scale_rotation, pivot };
+        }
         let (scale, _, translation) = self.to_parts();
         Self::Trs { translation, rotation, scale }
     }
 
-    /// The same at this place; a shear, which only a matrix can have, is lost.
+    /// The same at this place.
     #[must_use]
     pub fn with_translation(self, translation: DVec3) -> Self {
-        let (scale, rotation, _) = self.to_parts();
-        Self::Trs { translation, rotation, scale }
+        match self {
+            Self::Trs { rotation, scale, .. } => Self::Trs { translation, rotation, scale },
+            Self::Pivoted { rotation, scale, scale_rotation, pivot, .. } => {
+                Self::Pivoted { translation, rotation, scale, scale_rotation, pivot }
+            }
+            Self::Matrix(affine) => Self::Matrix(DAffine3 { translation, ..affine }),
+        }
     }
 
     fn to_parts(self) -> (DVec3, DQuat, DVec3) {
-        match self {
-            Self::Trs { translation, rotation, scale } => (scale, rotation, translation),
-            Self::Matrix(affine) if affine.matrix3.determinant() != 0.0 => affine.to_scale_rotation_translation(),
-            Self::Matrix(affine) => (DVec3::ZERO, DQuat::IDENTITY, affine.translation),
+        let affine = match self {
+            Self::Trs { translation, rotation, scale } => return (scale, rotation, translation),
+            Self::Pivoted { .. } | Self::Matrix(_) => self.to_affine(),
+        };
+        if affine.matrix3.determinant() != 0.0 {
+            affine.to_scale_rotation_translation()
+        } else {
+            (DVec3::ZERO, DQuat::IDENTITY, affine.translation)
         }
     }
 
@@ -80,6 +106,11 @@ impl Transform {
         match *self {
             Self::Trs { translation, rotation, scale } => {
                 DAffine3::from_scale_rotation_translation(scale, rotation, translation)
+            }
+            Self::Pivoted { translation, rotation, scale, scale_rotation, pivot } => {
+                let turn = DMat3::from_quat(scale_rotation);
+                let linear = DMat3::from_quat(rotation) * turn * DMat3::from_diagonal(scale) * turn.transpose();
+                DAffine3 { matrix3: linear, translation: translation + pivot - linear * pivot }
             }
             Self::Matrix(affine) => affine,
         }
@@ -90,6 +121,10 @@ impl Transform {
         match self {
             Self::Trs { translation, rotation, scale } => {
                 translation.is_finite() && rotation.is_finite() && scale.is_finite()
+            }
+            Self::Pivoted { translation, rotation, scale, scale_rotation, pivot } => {
+                let vectors = [translation, scale, pivot];
+                vectors.into_iter().all(|v| v.is_finite()) && rotation.is_finite() && scale_rotation.is_finite()
             }
             Self::Matrix(affine) => affine.is_finite(),
         }
@@ -116,7 +151,33 @@ mod tests {
         assert!(matrix.matrix3.determinant() < 0.0);
         assert_eq!(matrix.translation, DVec3::X);
         assert_eq!(parts(turn).with_translation(DVec3::Y).to_affine().translation, DVec3::Y);
+        let moved = Transform::Matrix(parts(turn).to_affine()).with_translation(DVec3::Y).to_affine();
+        assert_eq!((moved.matrix3, moved.translation), (parts(turn).to_affine().matrix3, DVec3::Y));
         let flat = Transform::Matrix(DAffine3::from_scale(DVec3::ZERO));
         assert!(flat.with_rotation(turn).is_finite());
+    }
+
+    /// OpenSG's order: T * C * R * SR * S * SR^-1 * C^-1.
+    #[test]
+    fn a_pivot_stays_where_it_is() {
+        let (pivot, translation) = (DVec3::new(1.0, 2.0, 3.0), DVec3::new(10.0, 0.0, -4.0));
+        let (rotation, scale_rotation) = (DQuat::from_rotation_y(0.7), DQuat::from_rotation_z(0.4));
+        let scale = DVec3::new(2.0, 1.0, 0.5);
+        let pivoted = Transform::Pivoted { translation, rotation, scale, scale_rotation, pivot };
+        let affine = pivoted.to_affine();
+        assert!(affine.transform_point3(pivot).abs_diff_eq(pivot + translation, 1e-12));
+        let factors = [
+            DAffine3::from_translation(translation),
+            DAffine3::from_translation(pivot),
+            DAffine3::from_quat(rotation),
+            DAffine3::from_quat(scale_rotation),
+            DAffine3::from_scale(scale),
+            DAffine3::from_quat(scale_rotation.inverse()),
+            DAffine3::from_translation(-pivot),
+        ];
+        let product = factors.into_iter().fold(DAffine3::IDENTITY, |product, factor| product * factor);
+        assert!(affine.abs_diff_eq(product, 1e-12));
+        assert_eq!(pivoted.with_rotation(rotation), pivoted);
+        assert_eq!(pivoted.with_translation(translation), pivoted);
     }
 }

@@ -3,7 +3,6 @@
 use slotmap::{Key, SlotMap};
 
 use super::assets::Used;
-use super::hierarchy::Hierarchy;
 use super::node::Node;
 use super::ranges::{check_core, check_material, check_texture};
 use super::{Core, NodeKey, Object, Scene};
@@ -21,7 +20,7 @@ impl Scene {
         self.validate_cores()?;
         self.validate_assets()?;
         self.log.validate(self.root)?;
-        if self.hierarchy.is_up_to_date() { self.validate_hierarchy() } else { Ok(()) }
+        if self.hierarchy.is_up_to_date() { self.hierarchy.validate(self.tree()) } else { Ok(()) }
     }
 
     /// Every link has its counterpart, and the links lead to every node once.
@@ -62,36 +61,26 @@ impl Scene {
             check(found == slot.user_count, key, "it has fewer users than it counts")?;
             user_count += found;
             check_core(&slot.core)?;
+            if let Core::Instance(target) = slot.core {
+                self.node(target)?;
+                let known = self.instancers.get(&target).is_some_and(|cores| cores.contains(&key));
+                check(known, key, "nobody knows what it instances")?;
+            }
         }
         check(user_count == self.nodes.len(), self.root, "some nodes are not users of their cores")
     }
 
     /// Every count is the number of references that there are, and every value is allowed.
     fn validate_assets(&self) -> Result<()> {
-        let references = || {
-            self.cores.values().filter_map(|slot| match slot.core {
-                Core::Geometry { geometry, material } => Some((geometry, material)),
-                _ => None,
-            })
-        };
-        validate_counts(&self.geometries, references().map(|(geometry, _)| geometry))?;
-        validate_counts(&self.materials, references().map(|(_, material)| material))?;
+        let cores = || self.cores.values().map(|slot| &slot.core);
+        validate_counts(&self.geometries, cores().filter_map(Core::geometry))?;
+        validate_counts(&self.materials, cores().filter_map(Core::material))?;
         let materials = self.materials.values().map(|used| &used.value);
         validate_counts(&self.textures, materials.clone().flat_map(|m| m.textures().map(|t| t.texture)))?;
 
         self.geometries.values().try_for_each(|used| used.value.geometry.validate())?;
         self.textures.values().try_for_each(|used| check_texture(&used.value))?;
         materials.into_iter().try_for_each(check_material)
-    }
-
-    /// The arrays are what they would be if they were built now.
-    fn validate_hierarchy(&self) -> Result<()> {
-        let mut fresh = Hierarchy::new();
-        fresh.update(self.root, &self.nodes, &self.cores);
-        match self.hierarchy.first_difference(&fresh) {
-            None => Ok(()),
-            Some(node) => check(false, node, "the hierarchy shows it otherwise than it is"),
-        }
     }
 }
 

@@ -32,7 +32,7 @@ use crate::trace::{Cpu, DeviceInfo, Emulated, FrameRequest, Tracer};
 /// scene.add(scene.root(), Core::Geometry { geometry, material })?;
 ///
 /// let mut renderer = Renderer::new(&RendererOptions { device: DeviceChoice::Cpu })?;
-/// let view = View::framing(&scene, 64, 48)?;
+/// let view = View::framing(&mut scene, 64, 48)?;
 /// let frame = renderer.render(&mut scene, &view)?;
 /// assert_eq!(frame.report().compile.blas_built, 1);
 /// assert_eq!(frame.image()?.color.len(), 64 * 48);
@@ -114,7 +114,7 @@ impl Renderer {
         view.validate()?;
 
         // 1. Catch up with the scene.
-        let compile = self.compiler.compile(scene, view.world_from_view.translation)?;
+        let compile = self.compiler.compile(scene, view.observer())?;
 
         // 2. Copy what changed.
         let upload_start = Instant::now();

@@ -2,6 +2,7 @@
 
 use glam::{DAffine3, DVec3, Vec3};
 
+use crate::compile::{ImageHeight, Observer};
 use crate::device::layout::FrameParams;
 use crate::graph::{Camera, Core, NodeKey, Scene, Transform};
 use crate::math::Bounds;
@@ -68,11 +69,11 @@ impl View {
         Ok(Self { world_from_view, ..Self::look_at(DVec3::ZERO, DVec3::NEG_Z, DVec3::Y, camera, width, height) })
     }
 
-    /// Sees the box around the scene, as large as it fits, from the front, a little from the right and above. O(nodes).
+    /// Sees the box around the scene, as large as it fits, from the front, a little from the right and above. Costs as [`Scene::world_bounds`].
     ///
     /// # Errors
-    /// None in a valid scene.
-    pub fn framing(scene: &Scene, width: u32, height: u32) -> Result<Self> {
+    /// As [`Scene::hierarchy`].
+    pub fn framing(scene: &mut Scene, width: u32, height: u32) -> Result<Self> {
         let bounds = scene.world_bounds(scene.root())?;
         // A scene of one point is seen from a distance that f64 resolves there.
         let point = Bounds { min: DVec3::ZERO, max: DVec3::ZERO };
@@ -114,6 +115,15 @@ impl View {
         self.camera.validate()?;
         require([zenith, horizon, ground].iter().all(|c| c.is_finite()), "sky", &self.sky, "finite")?;
         require(up.try_normalize().is_some(), "sky up", &up, "finite and not zero")
+    }
+
+    /// Who looks, for levels of detail and billboards.
+    pub fn observer(&self) -> Observer {
+        let (_, half_height, orthographic) = self.half_extent();
+        let height = 2.0 * f64::from(half_height);
+        let height = if orthographic == 0 { ImageHeight::TimesDistance(height) } else { ImageHeight::Fixed(height) };
+        let up = self.world_from_view.matrix3.y_axis.normalize_or(DVec3::Y);
+        Observer { eye: self.world_from_view.translation, up, height }
     }
 
     /// The uniform data of this view, with positions relative to `origin`.

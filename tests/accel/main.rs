@@ -9,3 +9,4 @@ mod meshes;
 mod quality;
 mod structure;
 mod top_level;
+mod top_level_updates;

@@ -5,11 +5,11 @@ use std::collections::{HashMap, HashSet};
 use glam::{DAffine3, DVec3};
 use ropewalk::{Bounds, Core, NodeKey, Scene};
 
-use crate::model::Model;
+use crate::model::{Model, Step};
 use crate::random::Issued;
 
 /// Everything that can be read without `&mut`.
-pub(crate) fn state(scene: &Scene, model: &Model, issued: &Issued) {
+pub(crate) fn state(scene: &mut Scene, model: &Model, issued: &Issued) {
     scene.validate().unwrap();
     structure(scene, model);
     objects(scene, model);
@@ -17,6 +17,10 @@ pub(crate) fn state(scene: &Scene, model: &Model, issued: &Issued) {
     for &node in model.nodes.keys() {
         world(scene.world(node).unwrap(), node, model);
     }
+}
+
+/// The box of everything, and of a few nodes. It brings the hierarchy up to date.
+pub(crate) fn boxes(scene: &mut Scene, model: &Model) {
     for &node in model.nodes.keys().take(4).chain([&model.root]) {
         bounds(scene.world_bounds(node).unwrap(), node, model);
     }
@@ -100,23 +104,24 @@ fn world(world: DAffine3, node: NodeKey, model: &Model) {
 fn bounds(found: Bounds, node: NodeKey, model: &Model) {
     let mut expected = Bounds::EMPTY;
     let mut magnitude = 0.0;
-    let mut add = |bounds: &mut Bounds, node: NodeKey, point: DVec3| {
-        let (point, size) = model.to_world(node, point);
+    let mut add = |bounds: &mut Bounds, upwards: &[NodeKey], point: DVec3| {
+        let (point, size) = model.to_world_up(upwards, point);
         magnitude = f64::max(magnitude, size);
         *bounds = bounds.union(Bounds { min: point, max: point });
     };
     let mut triangles = Bounds::EMPTY;
-    for node in model.preorder(node) {
-        let Core::Geometry { geometry, .. } = model.core(node) else { continue };
+    for chain in model.chains(model.chain(node)) {
+        let upwards: Vec<NodeKey> = chain.iter().rev().map(|step| step.node).collect();
+        let Core::Geometry { geometry, .. } = model.core(upwards[0]) else { continue };
         let geometry = &model.geometries[geometry];
         let vertices = || geometry.indices.iter().flatten().map(|&i| geometry.positions[i as usize].as_dvec3());
         let (min, max) = (vertices().reduce(DVec3::min), vertices().reduce(DVec3::max));
         let (Some(min), Some(max)) = (min, max) else { continue };
         for corner in 0..8 {
             let side = |axis: usize| if corner >> axis & 1 == 0 { min[axis] } else { max[axis] };
-            add(&mut expected, node, DVec3::new(side(0), side(1), side(2)));
+            add(&mut expected, &upwards, DVec3::new(side(0), side(1), side(2)));
         }
-        vertices().for_each(|vertex| add(&mut triangles, node, vertex));
+        vertices().for_each(|vertex| add(&mut triangles, &upwards, vertex));
     }
     assert_eq!(found.is_empty(), expected.is_empty());
     if !expected.is_empty() {
@@ -127,22 +132,48 @@ fn bounds(found: Bounds, node: NodeKey, model: &Model) {
     }
 }
 
-/// The preorder arrays against the model, and against what the getters said while the arrays were out of date.
+/// The flattened arrays against the model, and against what the getters said while the arrays were out of date.
 pub(crate) fn hierarchy(scene: &mut Scene, model: &Model) {
-    let walked: Vec<_> = scene.descendants(model.root).unwrap().map(|node| scene.world(node).unwrap()).collect();
-    let (scene, hierarchy) = scene.with_hierarchy();
-    let preorder = model.preorder(model.root);
-    assert_eq!(hierarchy.nodes(), preorder);
-    for (index, &node) in preorder.iter().enumerate() {
-        assert_eq!(hierarchy.index(node), Some(index));
-        let parent = model.nodes[&node].parent.map(|parent| preorder.iter().position(|&n| n == parent).unwrap() as u32);
-        assert_eq!(hierarchy.parents()[index], parent.unwrap_or(ropewalk::Hierarchy::NO_PARENT));
-        assert_eq!(hierarchy.subtree(index), index..index + model.preorder(node).len());
-        let upwards = model.upwards(node);
-        let mask = upwards.iter().fold(u32::MAX, |mask, node| mask & model.nodes[node].mask);
-        assert_eq!(hierarchy.masks()[index], mask);
-        assert_eq!(hierarchy.visible()[index], upwards.iter().all(|node| model.nodes[node].visible));
-        assert_eq!(hierarchy.worlds()[index], walked[index], "the same product in the same order");
-        assert_eq!(hierarchy.worlds()[index], scene.world(node).unwrap());
+    let walked: HashMap<_, _> = model.nodes.keys().map(|&node| (node, scene.world(node).unwrap())).collect();
+    let (scene, hierarchy) = scene.with_hierarchy().unwrap();
+    let mut chains: HashMap<_, _> =
+        model.chains(model.chain(model.root)).into_iter().map(|chain| (Model::path(&chain), chain)).collect();
+    for (entry, &node) in hierarchy.nodes().iter().enumerate().filter(|&(entry, _)| !hierarchy.is_gap(entry)) {
+        let path = hierarchy.path(entry);
+        let chain = chains.remove(&path).expect("the model has this path, once");
+        assert!(hierarchy.entries(node).any(|e| e == entry));
+        assert_eq!(hierarchy.is_instanced(entry), chain.last().unwrap().instanced);
+        let parent = hierarchy.parents()[entry];
+        assert_eq!(chain.len() == 1, parent == ropewalk::Hierarchy::NO_PARENT);
+        if chain.len() > 1 {
+            assert_eq!(hierarchy.path(parent as usize), Model::path(&chain[..chain.len() - 1]));
+        }
+        let below = hierarchy.subtree(entry).into_iter().flatten().filter(|&e| !hierarchy.is_gap(e));
+        assert_eq!(below.count(), model.chains(chain.clone()).len());
+
+        let placed = &hierarchy.placed()[entry];
+        assert_eq!(placed.mask, chain.iter().fold(u32::MAX, |mask, step| mask & model.nodes[&step.node].mask));
+        let shown = |step: &Step| model.nodes[&step.node].visible && (step.instanced || model.is_chosen(step.node));
+        assert_eq!(placed.visible, chain.iter().all(shown));
+        let groups = chain.iter().filter_map(|step| match *model.core(step.node) {
+            Core::MaterialGroup(material) => Some(material),
+            _ => None,
+        });
+        assert_eq!(placed.material, { groups }.next());
+        let locals = chain.iter().filter_map(|step| match model.core(step.node) {
+            Core::Transform(transform) => Some(transform.to_affine()),
+            _ => None,
+        });
+        assert_eq!(
+            placed.world,
+            locals.fold(DAffine3::IDENTITY, |world, local| world * local),
+            "the same product in the same order"
+        );
+        if path.instances.is_empty() {
+            assert_eq!(hierarchy.entry(node), Some(entry));
+            assert_eq!(placed.world, walked[&node]);
+            assert_eq!(placed.world, scene.world(node).unwrap());
+        }
     }
+    assert!(chains.is_empty(), "not in the hierarchy: {chains:?}");
 }

@@ -2,8 +2,8 @@
 
 use glam::{DAffine3, DMat3, DVec3};
 use ropewalk::{
-    Camera, Core, CoreKey, CoreSource, Error, Geometry, GeometryKey, Keep, Material, MaterialKey, NodeKey, Object,
-    Result, Scene, Texture, TextureKey, Transform,
+    Billboard, Camera, Core, CoreKey, CoreSource, Error, Geometry, GeometryKey, Keep, Material, MaterialKey, NodeKey,
+    Object, Result, Scene, Texture, TextureKey, Transform,
 };
 
 use crate::model::{Model, ModelNode};
@@ -100,13 +100,17 @@ impl Edit {
         let node = |key: NodeKey| if model.nodes.contains_key(&key) { Ok(()) } else { Err(Fault::Stale(key.into())) };
         let core_key = |key| if model.cores.contains_key(&key) { Ok(()) } else { Err(Fault::Stale(key.into())) };
         match self {
-            Self::Add(parent, source) => node(*parent).and_then(|()| check_source(source, model)),
+            Self::Add(parent, source) => {
+                node(*parent)?;
+                check_source(source, model)?;
+                check_target(*parent, source, model)
+            }
             Self::Remove(key) => node(*key).and_then(|()| not(*key == model.root, Fault::Root)),
             Self::Reparent(key, parent, keep) => {
                 node(*key)?;
                 node(*parent)?;
                 not(*key == model.root, Fault::Root)?;
-                not(model.upwards(*parent).contains(key), Fault::Cycle)?;
+                not(model.shows(*key, *parent), Fault::Cycle)?;
                 if *keep == Keep::World {
                     not(!matches!(model.core(*key), Core::Transform(_)), Fault::WrongCore)?;
                     let old_parent = model.nodes[key].parent.unwrap();
@@ -124,7 +128,8 @@ impl Edit {
                     };
                     not(*core != Core::Group, Fault::Root)?;
                 }
-                check_source(source, model)
+                check_source(source, model)?;
+                check_target(*key, source, model)
             }
             Self::SetLocal(key, transform) => {
                 node(*key)?;
@@ -137,7 +142,9 @@ impl Edit {
                 core_key(*key)?;
                 let of_root = model.nodes[&model.root].core == *key;
                 not(of_root && *core != Core::Group, Fault::Root)?;
-                check_core(core, model)
+                check_core(core, model)?;
+                let source = CoreSource::New(core.clone());
+                model.users(*key).into_iter().try_for_each(|user| check_target(user, &source, model))
             }
             Self::AddGeometry(geometry) => check_geometry(geometry),
             Self::SetGeometry(key, geometry) => {
@@ -195,6 +202,9 @@ impl Edit {
                 detach(key, model);
                 for key in model.preorder(key) {
                     model.nodes.remove(&key);
+                    for core in model.cores.values_mut().filter(|core| **core == Core::Instance(key)) {
+                        *core = Core::Group;
+                    }
                 }
             }
             (Self::Reparent(key, parent, keep), _) => {
@@ -259,12 +269,28 @@ fn check_source(source: &CoreSource, model: &Model) -> Result<(), Fault> {
     }
 }
 
+/// A node must not come to show itself.
+fn check_target(node: NodeKey, source: &CoreSource, model: &Model) -> Result<(), Fault> {
+    let core = match source {
+        CoreSource::New(core) => core,
+        CoreSource::Shared(key) => &model.cores[key],
+    };
+    match *core {
+        Core::Instance(target) => not(model.shows(target, node), Fault::Cycle),
+        _ => Ok(()),
+    }
+}
+
 fn check_core(core: &Core, model: &Model) -> Result<(), Fault> {
     match core {
         Core::Geometry { geometry, material } => {
             not(!model.geometries.contains_key(geometry), Fault::Stale((*geometry).into()))?;
             not(!model.materials.contains_key(material), Fault::Stale((*material).into()))
         }
+        Core::MaterialGroup(material) => not(!model.materials.contains_key(material), Fault::Stale((*material).into())),
+        Core::Instance(target) => not(!model.nodes.contains_key(target), Fault::Stale((*target).into())),
+        Core::Lod(lod) => not(!lod.limits.is_sorted(), Fault::OutOfRange),
+        Core::Billboard(Billboard::Axis(axis)) => not(*axis == DVec3::ZERO, Fault::OutOfRange),
         Core::Transform(transform) => not(!transform.is_finite(), Fault::OutOfRange),
         Core::Light(light) => not(light.intensity.is_nan() || light.intensity < 0.0, Fault::OutOfRange),
         Core::Camera(camera) => {

@@ -23,16 +23,16 @@ const READERS: usize = 3;
 
 /// Each edit, with the errors that it can end with.
 const FAULTS: [(&str, &[&str]); 17] = [
-    ("Add", &["OutOfRange", "Stale"]),
+    ("Add", &["Cycle", "OutOfRange", "Stale"]),
     ("AddCore", &["OutOfRange", "Stale"]),
     ("AddGeometry", &["Geometry"]),
     ("AddMaterial", &["OutOfRange", "Stale"]),
     ("AddTexture", &["OutOfRange"]),
-    ("EditCore", &["OutOfRange", "Root", "Stale"]),
+    ("EditCore", &["Cycle", "OutOfRange", "Root", "Stale"]),
     ("Remove", &["Root", "Stale"]),
     ("RemoveUnused", &[]),
     ("Reparent", &["Cycle", "Root", "Singular", "Stale", "WrongCore"]),
-    ("SetCore", &["OutOfRange", "Root", "Stale"]),
+    ("SetCore", &["Cycle", "OutOfRange", "Root", "Stale"]),
     ("SetGeometry", &["Geometry", "Stale"]),
     ("SetLocal", &["OutOfRange", "Stale", "WrongCore"]),
     ("SetMask", &["Stale"]),
@@ -52,6 +52,8 @@ enum Step {
     Leave(usize),
     /// Bring the hierarchy up to date.
     Update,
+    /// Ask for boxes.
+    Measure,
 }
 
 fn step() -> impl Strategy<Value = Step> {
@@ -60,7 +62,8 @@ fn step() -> impl Strategy<Value = Step> {
         20 => edit.prop_map(|(kind, a, b, value)| Step::Edit(RawEdit { kind, a, b, value })),
         2 => (0..READERS).prop_map(Step::Read),
         1 => (0..READERS * 4).prop_map(|reader| Step::Leave(reader.min(READERS - 1))),
-        4 => Just(Step::Update),
+        3 => Just(Step::Update),
+        2 => Just(Step::Measure),
     ]
 }
 
@@ -104,8 +107,9 @@ fn run(steps: &[Step], endings: &mut BTreeSet<String>) {
             Step::Read(reader) => readers[*reader].read(&mut scene, &model, &log),
             Step::Leave(reader) => readers[*reader] = Reader::default(),
             Step::Update => compare::hierarchy(&mut scene, &model),
+            Step::Measure => compare::boxes(&mut scene, &model),
         }
-        compare::state(&scene, &model, &issued);
+        compare::state(&mut scene, &model, &issued);
     }
     for reader in &mut readers {
         reader.read(&mut scene, &model, &log);

@@ -4,8 +4,8 @@ use std::collections::{HashMap, HashSet};
 
 use glam::DVec3;
 use ropewalk::{
-    Change, Core, CoreKey, Geometry, GeometryKey, Material, MaterialKey, NodeKey, Object, Scene, Texture, TextureKey,
-    Transform,
+    Change, Core, CoreKey, Geometry, GeometryKey, Material, MaterialKey, NodeKey, NodePath, Object, Scene, Texture,
+    TextureKey, Transform,
 };
 
 #[derive(Clone, Debug, PartialEq)]
@@ -28,6 +28,14 @@ pub(crate) struct Model {
     pub(crate) textures: HashMap<TextureKey, Texture>,
     /// What has had a user.
     used: HashSet<Object>,
+}
+
+/// One step of a way down.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Step {
+    pub(crate) node: NodeKey,
+    /// Whether the step before instances the node.
+    pub(crate) instanced: bool,
 }
 
 impl ModelNode {
@@ -68,10 +76,66 @@ impl Model {
         std::iter::successors(Some(node), |node| self.nodes[node].parent).collect()
     }
 
+    /// Every way down to every node at or below the last of `chain`, by children and by instances.
+    pub(crate) fn chains(&self, chain: Vec<Step>) -> Vec<Vec<Step>> {
+        let node = chain.last().unwrap().node;
+        let instanced = match *self.core(node) {
+            Core::Instance(target) => Some(target),
+            _ => None,
+        };
+        let instanced = instanced.map(|node| Step { node, instanced: true });
+        let children = self.nodes[&node].children.iter().map(|&node| Step { node, instanced: false });
+        let below = instanced.into_iter().chain(children);
+        let longer = |next| chain.iter().copied().chain([next]).collect();
+        let below: Vec<_> = below.flat_map(|next| self.chains(longer(next))).collect();
+        std::iter::once(chain).chain(below).collect()
+    }
+
+    /// What a chain from the root is named.
+    pub(crate) fn path(chain: &[Step]) -> NodePath {
+        let steps = chain.windows(2).filter(|step| step[1].instanced);
+        NodePath { instances: steps.map(|step| step[0].node).collect(), node: chain.last().unwrap().node }
+    }
+
+    /// The way down to a node by children only.
+    pub(crate) fn chain(&self, node: NodeKey) -> Vec<Step> {
+        self.upwards(node).into_iter().rev().map(|node| Step { node, instanced: false }).collect()
+    }
+
+    /// Whether a node would show itself if it stood below, or instanced, `target`.
+    pub(crate) fn shows(&self, target: NodeKey, node: NodeKey) -> bool {
+        let (mut open, mut seen) = (vec![target], HashSet::new());
+        while let Some(next) = open.pop() {
+            if next == node {
+                return true;
+            }
+            if seen.insert(next) && self.nodes.contains_key(&next) {
+                open.extend(&self.nodes[&next].children);
+                if let Core::Instance(target) = *self.core(next) {
+                    open.push(target);
+                }
+            }
+        }
+        false
+    }
+
+    /// Whether the switch above a node, if there is one, shows it.
+    pub(crate) fn is_chosen(&self, node: NodeKey) -> bool {
+        let Some(parent) = self.nodes[&node].parent else { return true };
+        let Core::Switch(switch) = self.core(parent) else { return true };
+        let number = self.nodes[&parent].children.iter().position(|&child| child == node).unwrap();
+        switch.shows(number as u32)
+    }
+
     /// Where a local point is in the world, and the largest number on the way, which rounding errors are relative to.
     pub(crate) fn to_world(&self, node: NodeKey, point: DVec3) -> (DVec3, f64) {
+        self.to_world_up(&self.upwards(node), point)
+    }
+
+    /// The same on a way up.
+    pub(crate) fn to_world_up(&self, upwards: &[NodeKey], point: DVec3) -> (DVec3, f64) {
         let (mut point, mut magnitude) = (point, point.abs().max_element());
-        for node in self.upwards(node) {
+        for &node in upwards {
             if let Core::Transform(transform) = self.core(node) {
                 let (moved, growth) = apply(transform, point);
                 point = moved;
@@ -86,6 +150,7 @@ impl Model {
         loop {
             let of_core = |core: &Core| match *core {
                 Core::Geometry { geometry, material } => vec![geometry.into(), material.into()],
+                Core::MaterialGroup(material) => vec![material.into()],
                 _ => vec![],
             };
             let by_nodes = self.nodes.values().map(|node| Object::from(node.core));
@@ -121,6 +186,7 @@ impl Model {
                 (Change::MASK, old.mask != new.mask),
                 (Change::VISIBILITY, old.visible != new.visible),
                 (Change::NAME, old.name != new.name),
+                (Change::CHILDREN, old.children != new.children),
             ];
             flags.into_iter().filter(|(_, differs)| *differs).map(|(flag, _)| flag).collect()
         });
@@ -160,6 +226,7 @@ fn compare_maps<K: Copy + Eq + std::hash::Hash + Into<Object>, V>(
 /// The point one level up, and by how much a length can have grown.
 fn apply(transform: &Transform, point: DVec3) -> (DVec3, f64) {
     match *transform {
+        Transform::Pivoted { .. } => apply(&Transform::Matrix(transform.to_affine()), point),
         Transform::Trs { translation, rotation, scale } => {
             (rotation * (scale * point) + translation, scale.abs().max_element())
         }

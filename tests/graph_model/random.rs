@@ -4,8 +4,8 @@ use std::f64::consts::FRAC_PI_2;
 
 use glam::{DAffine3, DMat3, DQuat, DVec3, Vec3, Vec4};
 use ropewalk::{
-    Camera, Core, CoreKey, Geometry, GeometryKey, Keep, Light, LightKind, Material, MaterialKey, NodeKey, Object,
-    Scene, Texture, TextureKey, TextureRef, Transform,
+    Billboard, Camera, Core, CoreKey, Geometry, GeometryKey, Keep, Light, LightKind, Lod, Material, MaterialKey,
+    NodeKey, Object, Scene, Switch, Texture, TextureKey, TextureRef, Transform,
 };
 
 use crate::edit::Edit;
@@ -43,11 +43,16 @@ impl Issued {
         let texture_key = |number| pick(&self.textures, number, |key| model.textures.contains_key(key));
 
         let &RawEdit { kind, a, b, value } = raw;
-        let core = || match value % 8 {
+        let core = || match value % 16 {
             0 => Core::Group,
-            1 | 2 => Core::Transform(transform(value / 8)),
-            6 => Core::Light(light(value / 8)),
-            7 => Core::Camera(camera(value / 8)),
+            1..=4 => Core::Transform(transform((value / 16).wrapping_add(b as u8))),
+            5 => Core::Light(light(value / 16)),
+            6 => Core::Camera(camera(value / 16)),
+            7 => Core::Switch(switch(value / 16)),
+            8 => Core::MaterialGroup(material_key(b)),
+            9 | 10 => Core::Instance(node(b)),
+            11 => Core::Lod(Lod::by_distance([[1.0, 2.0], [3.0, 1.0]][usize::from(value / 128)])),
+            12 => Core::Billboard(Billboard::Axis([DVec3::X, DVec3::ZERO][usize::from(value / 128)])),
             _ => Core::Geometry { geometry: geometry_key(b), material: material_key(b / 3) },
         };
         let texture_ref = (value % 3 != 0).then(|| TextureRef::new(texture_key(b)));
@@ -121,8 +126,23 @@ fn transform(value: u8) -> Transform {
         11 => Transform::from_translation(DVec3::new(f64::NAN, 0.0, 0.0)),
         12 => Transform::Matrix(DAffine3::from_scale(DVec3::splat(f64::INFINITY))),
         13 => Transform::Trs { translation: DVec3::ONE, rotation: turn, scale: DVec3::splat(0.5) },
-        14 => Transform::from_scale(DVec3::splat(0.25)),
+        14 => Transform::Pivoted {
+            translation: DVec3::X,
+            rotation: turn,
+            scale: DVec3::new(1.0, 0.5, 1.0),
+            scale_rotation: DQuat::from_rotation_x(0.4),
+            pivot: DVec3::new(1.0, 2.0, 3.0),
+        },
         _ => Transform::from_translation(DVec3::new(0.1, 0.2, 0.3)),
+    }
+}
+
+fn switch(value: u8) -> Switch {
+    match value % 4 {
+        0 => Switch::None,
+        1 => Switch::One(u32::from(value / 4)),
+        2 => Switch::All,
+        _ => Switch::Set([0, 2].into()),
     }
 }
 

@@ -6,16 +6,18 @@ use ropewalk::device::layout::{Instance, Light, Material, NONE, Node, Streams, T
 /// Everything that a kernel can reach in some arrays, with places replaced by contents. Compares bit by bit.
 #[derive(Debug, PartialEq)]
 pub(crate) struct Canonical {
-    /// The top level, instances renumbered in the order of its leaves.
-    tlas_nodes: Vec<u8>,
+    /// What the leaves of the top level hold, sorted; the hierarchy above them is not compared.
     instances: Vec<CanonicalInstance>,
-    lights: Vec<u8>,
+    /// Sorted.
+    lights: Vec<Vec<u8>>,
 }
 
-#[derive(Debug, PartialEq)]
+#[derive(Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct CanonicalInstance {
     /// The record without its indices.
     record: Vec<u8>,
+    /// The box of its leaf.
+    bounds: Vec<u8>,
     blas_nodes: Vec<u8>,
     triangles: Vec<u8>,
     /// Indices and streams of the geometry, one after the other.
@@ -27,23 +29,22 @@ struct CanonicalInstance {
 impl Canonical {
     /// The canonical form of compiled arrays.
     pub(crate) fn of(arrays: &DeviceArrays) -> Self {
-        let mut tlas_nodes: Vec<Node> = arrays.tlas_nodes.to_vec();
-        let mut instances = Vec::new();
-        for node in &mut tlas_nodes {
-            if node.primitives.count() > 0 {
-                instances.push(canonical_instance(arrays, &arrays.instances[node.primitives.first() as usize]));
-                node.primitives = ropewalk::device::layout::PrimitiveRange::leaf(instances.len() as u32 - 1, 1);
-            }
-        }
+        let leaves = arrays.tlas_nodes.iter().filter(|node| node.primitives.count() > 0);
+        let mut instances: Vec<CanonicalInstance> = leaves
+            .filter_map(|leaf| {
+                let record = arrays.instances.get(leaf.primitives.first() as usize)?;
+                Some(canonical_instance(arrays, record, leaf))
+            })
+            .collect();
+        instances.sort();
         let lights: &[Light] = &arrays.lights;
-        Self { tlas_nodes: bytes(&tlas_nodes), instances, lights: bytes(lights) }
+        let mut lights: Vec<Vec<u8>> = lights.iter().map(|light| bytes(&[*light])).collect();
+        lights.sort();
+        Self { instances, lights }
     }
 
     /// The first part that differs, by name; `None` if nothing does.
     pub(crate) fn difference(&self, other: &Self) -> Option<String> {
-        if self.tlas_nodes != other.tlas_nodes {
-            return Some("tlas_nodes".to_owned());
-        }
         if self.lights != other.lights {
             return Some("lights".to_owned());
         }
@@ -53,6 +54,7 @@ impl Canonical {
         let (i, (a, b)) = self.instances.iter().zip(&other.instances).enumerate().find(|(_, (a, b))| a != b)?;
         let part = match () {
             () if a.record != b.record => "record",
+            () if a.bounds != b.bounds => "box",
             () if a.blas_nodes != b.blas_nodes => "blas_nodes",
             () if a.triangles != b.triangles => "triangles",
             () if a.streams != b.streams => "streams",
@@ -68,7 +70,7 @@ impl Canonical {
     }
 }
 
-fn canonical_instance(arrays: &DeviceArrays, instance: &Instance) -> CanonicalInstance {
+fn canonical_instance(arrays: &DeviceArrays, instance: &Instance, leaf: &Node) -> CanonicalInstance {
     let nodes = reachable(&arrays.blas_nodes[instance.first_node as usize..]);
     let triangle_count =
         nodes.iter().map(|n| (n.primitives.first() + n.primitives.count()) as usize).max().unwrap_or(0);
@@ -92,6 +94,7 @@ fn canonical_instance(arrays: &DeviceArrays, instance: &Instance) -> CanonicalIn
     };
     CanonicalInstance {
         record: bytes(&[record]),
+        bounds: bytes(&[leaf.min, leaf.max]),
         blas_nodes: bytes(nodes),
         triangles: bytes(triangles),
         streams: canonical_streams(arrays, &arrays.geometries[instance.geometry as usize], triangles),

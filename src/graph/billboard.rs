@@ -1,0 +1,84 @@
+//! Billboards: what turns towards whoever looks.
+
+use glam::{DAffine3, DMat3, DVec3};
+use serde::{Deserialize, Serialize};
+
+/// Turns its children about the node's origin so that their +Z axis looks towards the eye. Each renderer turns them
+/// towards its own camera; mirrors show them as that camera sees them.
+///
+/// OpenSG's `Billboard`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub enum Billboard {
+    /// +Y stays as close to the camera's up direction as it can: labels, sprites.
+    #[default]
+    Free,
+    /// Only about this local axis, of any length but 0: trees.
+    Axis(DVec3),
+}
+
+impl Billboard {
+    /// The rotation `local_from_turned` for an eye and an up direction in the node's local space. The identity where
+    /// there is nothing to turn to: the eye stands at the origin, or on the axis.
+    pub fn rotation(&self, eye: DVec3, up: DVec3) -> DMat3 {
+        self.try_rotation(eye, up).unwrap_or(DMat3::IDENTITY)
+    }
+
+    fn try_rotation(&self, eye: DVec3, up: DVec3) -> Option<DMat3> {
+        match *self {
+            Self::Free => {
+                let z = eye.try_normalize()?;
+                let x = up.cross(z).try_normalize().unwrap_or_else(|| z.any_orthonormal_vector());
+                Some(DMat3::from_cols(x, z.cross(x), z))
+            }
+            Self::Axis(axis) => {
+                let axis = axis.try_normalize()?;
+                let from = DVec3::Z.reject_from_normalized(axis).try_normalize()?;
+                let to = eye.reject_from_normalized(axis).try_normalize()?;
+                let angle = axis.dot(from.cross(to)).atan2(from.dot(to));
+                Some(DMat3::from_axis_angle(axis, angle))
+            }
+        }
+    }
+
+    /// The rotation as a transform of the node `world`, for an eye and an up direction in the world.
+    pub(crate) fn local(&self, world: &DAffine3, eye: DVec3, up: DVec3) -> DAffine3 {
+        let local_from_world = world.inverse();
+        let rotation = if local_from_world.is_finite() {
+            self.rotation(local_from_world.transform_point3(eye), local_from_world.transform_vector3(up))
+        } else {
+            DMat3::IDENTITY
+        };
+        DAffine3::from_mat3(rotation)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn is_rotation(m: DMat3) -> bool {
+        (m.transpose() * m).abs_diff_eq(DMat3::IDENTITY, 1e-12) && (m.determinant() - 1.0).abs() < 1e-12
+    }
+
+    #[test]
+    fn the_front_looks_at_the_eye() {
+        let eye = DVec3::new(3.0, -2.0, 5.0);
+        let free = Billboard::Free.rotation(eye, DVec3::Y);
+        assert!(is_rotation(free));
+        assert!(free.z_axis.abs_diff_eq(eye.normalize(), 1e-12));
+        assert!(free.y_axis.y > 0.0 && free.x_axis.y.abs() < 1e-12);
+
+        let tree = Billboard::Axis(DVec3::Y * 7.0).rotation(eye, DVec3::Y);
+        assert!(is_rotation(tree));
+        assert!(tree.y_axis.abs_diff_eq(DVec3::Y, 1e-12));
+        assert!(tree.z_axis.abs_diff_eq(DVec3::new(3.0, 0.0, 5.0).normalize(), 1e-12));
+    }
+
+    #[test]
+    fn without_a_direction_nothing_turns() {
+        assert_eq!(Billboard::Free.rotation(DVec3::ZERO, DVec3::Y), DMat3::IDENTITY);
+        assert_eq!(Billboard::Axis(DVec3::Y).rotation(DVec3::Y, DVec3::Y), DMat3::IDENTITY);
+        assert_eq!(Billboard::Axis(DVec3::Z).rotation(DVec3::X, DVec3::Y), DMat3::IDENTITY);
+        assert!(is_rotation(Billboard::Free.rotation(DVec3::Y, DVec3::Y)));
+    }
+}

@@ -1,0 +1,289 @@
+//! The hot path of the graph: all nodes in arrays, with what they inherit from those above them.
+//!
+//! An *entry* is one appearance of a node: most nodes have one, a node below the target of [`Core::Instance`] has one
+//! more for each instance of it. Entries stand in preorder, so that a subtree is a range. After structural edits only
+//! the changed part is touched: what was removed leaves *gaps*, what was added is a *graft*, a range of its own at the
+//! end of the arrays, which refers to its parent before it. When a quarter of the arrays is gaps and grafts, they are
+//! built anew in preorder; so an edit costs what it changes, amortised.
+//!
+//! `structure` plants and removes, `propagate` computes what is inherited, `boxes` the world boxes of subtrees.
+
+mod boxes;
+mod propagate;
+mod structure;
+
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::ops::Range;
+
+use glam::DAffine3;
+use slotmap::{Key, SecondaryMap, SlotMap};
+
+use self::boxes::Boxes;
+use super::assets::{StoredGeometry, Used};
+use super::bit_set::BitSet;
+use super::core::CoreSlot;
+use super::node::Node;
+use super::validate::check;
+use super::{Core, CoreKey, GeometryKey, MaterialKey, NodeKey};
+use crate::Result;
+
+/// All nodes of a scene, flattened: a node's subtree is a range of indices that begins with the node's own, and the
+/// ranges of what was added below it since.
+///
+/// Indices of entries stay as they are until [`generation`](Self::generation) changes; keys do not change at all.
+/// About 250 bytes an entry.
+#[derive(Debug, Default)]
+pub struct Hierarchy {
+    nodes: Vec<NodeKey>,
+    parents: Vec<u32>,
+    ends: Vec<u32>,
+    own: Vec<Own>,
+    placed: Vec<Placed>,
+    /// One entry of each node.
+    first_entries: SecondaryMap<NodeKey, u32>,
+    /// The others, of nodes that are instanced.
+    more_entries: HashMap<NodeKey, Vec<u32>>,
+    /// The starts of the grafts below each entry that has some; dead ones start with a gap.
+    grafts: BTreeMap<u32, Vec<u32>>,
+    /// Entries in grafts.
+    grafted: usize,
+    gaps: Vec<u32>,
+    generation: u64,
+    pending: Pending,
+    boxes: Option<Boxes>,
+}
+
+/// An entry in the world.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Placed {
+    /// `world_from_local`: the node's own transform applied, if it has one. Not finite where the product overflows.
+    pub world: DAffine3,
+    /// The material of the outermost material group at or above it.
+    pub material: Option<MaterialKey>,
+    /// Its own mask AND those of all above it.
+    pub mask: u32,
+    /// Whether it and all above it are visible and chosen by their switches. (Levels of detail depend on the view.)
+    pub visible: bool,
+}
+
+/// Which appearance of a node: the instances through which it is seen, and the node.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
+pub struct NodePath {
+    /// The nodes with [`Core::Instance`] on the way from the root, outermost first; empty where the node itself stands.
+    pub instances: Vec<NodeKey>,
+    /// The node.
+    pub node: NodeKey,
+}
+
+/// What an entry contributes to itself and to all below it.
+#[derive(Clone, Copy, Debug)]
+struct Own {
+    local: DAffine3,
+    material: Option<MaterialKey>,
+    mask: u32,
+    visible: bool,
+    has_transform: bool,
+    /// Whether the switch above it, if there is one, shows it.
+    chosen: bool,
+    /// Whether it is there because the entry above it instances its node.
+    instanced: bool,
+    /// Whether it or something above it is instanced.
+    copy: bool,
+}
+
+/// What has to be done to catch up with the scene.
+#[derive(Debug, Default)]
+struct Pending {
+    is_built: bool,
+    /// Nodes that came or moved to other parents.
+    unplanted: Vec<NodeKey>,
+    /// Nodes whose core is or was an instance of another node.
+    instances: BTreeSet<NodeKey>,
+    /// Nodes whose children may be chosen otherwise.
+    switches: BTreeSet<NodeKey>,
+    /// Entries whose `own` is right already.
+    dirty: BitSet,
+}
+
+/// The objects of the scene that a hierarchy shows.
+#[derive(Clone, Copy)]
+pub(super) struct Tree<'a> {
+    pub(super) root: NodeKey,
+    pub(super) nodes: &'a SlotMap<NodeKey, Node>,
+    pub(super) cores: &'a SlotMap<CoreKey, CoreSlot>,
+    pub(super) geometries: &'a SlotMap<GeometryKey, Used<StoredGeometry>>,
+    /// Whether any core is an instance.
+    pub(super) has_instances: bool,
+}
+
+impl<'a> Tree<'a> {
+    fn core(self, node: NodeKey) -> &'a Core {
+        &self.cores[self.nodes[node].core].core
+    }
+}
+
+/// Reading.
+impl Hierarchy {
+    /// The parent of the root: no index.
+    pub const NO_PARENT: u32 = u32::MAX;
+
+    /// Entries with what is instanced cannot be more than the nodes and this many: 4 GB.
+    pub const MAX_INSTANCED: usize = 1 << 24;
+
+    /// Changes when indices of entries are no longer what they were.
+    pub fn generation(&self) -> u64 {
+        self.generation
+    }
+
+    /// The node of each entry; a null key for a gap.
+    pub fn nodes(&self) -> &[NodeKey] {
+        &self.nodes
+    }
+
+    /// Whether the entry was removed. A gap is not visible, and what else is said of it means nothing.
+    ///
+    /// # Panics
+    /// If there is no entry at the index.
+    pub fn is_gap(&self, entry: usize) -> bool {
+        self.nodes[entry].is_null()
+    }
+
+    /// The index of the parent of each entry; [`NO_PARENT`](Self::NO_PARENT) for the root. Lower than the entry's own.
+    pub fn parents(&self) -> &[u32] {
+        &self.parents
+    }
+
+    /// Where each entry is.
+    pub fn placed(&self) -> &[Placed] {
+        &self.placed
+    }
+
+    /// The entries that became gaps, oldest first, since the [`generation`](Self::generation) began.
+    pub fn gaps(&self) -> &[u32] {
+        &self.gaps
+    }
+
+    /// Where the node itself stands, not through an instance; `None` if it is not in the scene. O(its entries).
+    pub fn entry(&self, node: NodeKey) -> Option<usize> {
+        self.entries(node).find(|&entry| !self.own[entry].copy)
+    }
+
+    /// All entries of a node, in no particular order; none if it is not in the scene.
+    pub fn entries(&self, node: NodeKey) -> impl Iterator<Item = usize> + Clone {
+        let more = self.more_entries.get(&node).into_iter().flatten();
+        self.first_entries.get(node).into_iter().chain(more).map(|&entry| entry as usize)
+    }
+
+    /// Whether the entry is there because its parent instances its node.
+    ///
+    /// # Panics
+    /// If there is no entry at the index.
+    pub fn is_instanced(&self, entry: usize) -> bool {
+        self.own[entry].instanced
+    }
+
+    /// The world transform that the entry's own is applied to.
+    ///
+    /// # Panics
+    /// If there is no entry at the index.
+    pub fn inherited_world(&self, entry: usize) -> DAffine3 {
+        match self.parents[entry] {
+            Self::NO_PARENT => DAffine3::IDENTITY,
+            parent => self.placed[parent as usize].world,
+        }
+    }
+
+    /// Which appearance of its node the entry is. O(depth).
+    ///
+    /// # Panics
+    /// If there is no entry at the index.
+    pub fn path(&self, entry: usize) -> NodePath {
+        let mut instances = Vec::new();
+        let mut above = entry;
+        while self.own[above].copy {
+            let parent = self.parents[above] as usize;
+            if self.own[above].instanced {
+                instances.push(self.nodes[parent]);
+            }
+            above = parent;
+        }
+        instances.reverse();
+        NodePath { instances, node: self.nodes[entry] }
+    }
+
+    /// The ranges of an entry and all below it, the entry's own first. Gaps may be among them.
+    ///
+    /// # Panics
+    /// If there is no entry at the index.
+    pub fn subtree(&self, entry: usize) -> Vec<Range<usize>> {
+        let mut ranges = vec![entry..self.ends[entry] as usize];
+        let mut next = 0;
+        while let Some(range) = ranges.get(next).cloned() {
+            ranges.extend(self.grafts_below(range).map(|start| start..self.ends[start] as usize));
+            next += 1;
+        }
+        ranges
+    }
+
+    /// The ranges of these entries and all below them, sorted and disjoint. O(n log n) of the entries given and the
+    /// grafts below them.
+    pub fn subtrees(&self, entries: impl IntoIterator<Item = usize>) -> Vec<Range<usize>> {
+        let mut starts: BTreeSet<usize> = entries.into_iter().collect();
+        let mut ranges: Vec<Range<usize>> = Vec::new();
+        // Grafts lie behind what they are grafted to.
+        while let Some(start) = starts.pop_first() {
+            if ranges.last().is_none_or(|last| start >= last.end) {
+                let range = start..self.ends[start] as usize;
+                starts.extend(self.grafts_below(range.clone()));
+                ranges.push(range);
+            }
+        }
+        ranges
+    }
+
+    /// The starts of the grafts that are attached to entries in a range.
+    fn grafts_below(&self, range: Range<usize>) -> impl Iterator<Item = usize> {
+        let grafts = self.grafts.range(range.start as u32..range.end as u32).flat_map(|(_, starts)| starts);
+        grafts.map(|&start| start as usize).filter(|&start| !self.nodes[start].is_null())
+    }
+
+    /// Whether it shows the scene as it is.
+    pub(super) fn is_up_to_date(&self) -> bool {
+        let pending = &self.pending;
+        pending.is_built
+            && pending.dirty.is_empty()
+            && pending.unplanted.is_empty()
+            && pending.instances.is_empty()
+            && pending.switches.is_empty()
+    }
+
+    /// Checks the arrays against each other, and against those that would be built now.
+    pub(super) fn validate(&self, tree: Tree<'_>) -> Result<()> {
+        let mut fresh = Self::default();
+        fresh.update(tree)?;
+        let mut entries: HashMap<NodePath, usize> = HashMap::new();
+        for entry in (0..self.nodes.len()).filter(|&entry| !self.nodes[entry].is_null()) {
+            let node = self.nodes[entry];
+            let is_first = entries.insert(self.path(entry), entry).is_none();
+            check(is_first, node, "it appears twice in one place")?;
+            check(self.entries(node).any(|e| e == entry), node, "the hierarchy does not find it")?;
+            let parent = self.parents[entry];
+            if parent != Self::NO_PARENT {
+                let parent = parent as usize;
+                let inside = (parent + 1..self.ends[parent] as usize).contains(&entry);
+                let grafted = self.grafts_below(parent..parent + 1).any(|graft| graft == entry);
+                check(parent < entry && (inside || grafted), node, "the hierarchy has it outside its parent")?;
+            }
+        }
+        let bits = |placed: &Placed| placed.world.to_cols_array().map(f64::to_bits);
+        for (index, placed) in fresh.placed.iter().enumerate() {
+            let path = fresh.path(index);
+            let same = entries.remove(&path).is_some_and(|entry| {
+                let (own, world) = (self.placed[entry], DAffine3::IDENTITY);
+                bits(&own) == bits(placed) && Placed { world, ..own } == Placed { world, ..*placed }
+            });
+            check(same, path.node, "the hierarchy shows it otherwise than it is")?;
+        }
+        entries.keys().next().map_or(Ok(()), |path| check(false, path.node, "the hierarchy shows what is not there"))
+    }
+}

@@ -1,0 +1,389 @@
+//! Which entries there are: planting subtrees, and leaving gaps where some were removed.
+
+use std::collections::HashMap;
+use std::ops::Range;
+
+use slotmap::Key;
+
+use super::{DAffine3, Hierarchy, Own, Pending, Placed, Tree};
+use crate::graph::node::Node;
+use crate::graph::{Core, NodeKey};
+use crate::{Error, Result};
+
+/// What the scene reports. Nothing is done about most of it before [`update`](Hierarchy::update).
+impl Hierarchy {
+    /// The node is new, or has another parent. O(1).
+    pub(in crate::graph) fn node_planted(&mut self, node: NodeKey) {
+        if self.pending.is_built {
+            self.pending.unplanted.push(node);
+            self.pending.is_built = self.pending.unplanted.len() <= self.waste_limit();
+        }
+    }
+
+    /// The node is about to go, with all below it. O(entries below it).
+    pub(in crate::graph) fn subtree_removed(&mut self, node: NodeKey) {
+        if self.pending.is_built {
+            let entries: Vec<usize> = self.entries(node).collect();
+            for entry in entries {
+                self.uproot(entry);
+            }
+        }
+    }
+
+    /// The node's own transform, mask, visibility or material is another. O(its entries).
+    pub(in crate::graph) fn node_changed(&mut self, key: NodeKey, node: &Node, core: &Core) {
+        if !self.pending.is_built {
+            return;
+        }
+        // Most nodes have one entry.
+        if let Some(&entry) = self.first_entries.get(key) {
+            self.own[entry as usize].read(node, core);
+            self.pending.dirty.insert(entry as usize);
+        }
+        for &entry in self.more_entries.get(&key).into_iter().flatten() {
+            self.own[entry as usize].read(node, core);
+            self.pending.dirty.insert(entry as usize);
+        }
+    }
+
+    /// The node's core is or was an instance of another node.
+    pub(in crate::graph) fn instance_changed(&mut self, node: NodeKey) {
+        if self.pending.is_built {
+            self.pending.instances.insert(node);
+        }
+    }
+
+    /// The node's core is or was a switch, or its children are others.
+    pub(in crate::graph) fn switch_changed(&mut self, node: NodeKey) {
+        if self.pending.is_built {
+            self.pending.switches.insert(node);
+        }
+    }
+
+    /// Shows all edits made so far.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] if instances of instances make more than [`MAX_INSTANCED`](Self::MAX_INSTANCED) entries.
+    pub(in crate::graph) fn update(&mut self, tree: Tree<'_>) -> Result<()> {
+        if self.is_up_to_date() {
+            return Ok(());
+        }
+        let result = if self.pending.is_built && self.waste() <= self.waste_limit() {
+            self.update_structure(tree)
+        } else {
+            self.rebuild(tree)
+        };
+        if result.is_err() {
+            let generation = self.generation;
+            *self = Self { generation, ..Self::default() };
+            return result;
+        }
+        self.choose_children(tree);
+        self.propagate_dirty();
+        Ok(())
+    }
+
+    /// Gaps, and entries in grafts.
+    fn waste(&self) -> usize {
+        self.gaps.len() + self.grafted
+    }
+
+    fn waste_limit(&self) -> usize {
+        1024 + self.nodes.len() / 4
+    }
+}
+
+/// Catching up.
+impl Hierarchy {
+    fn rebuild(&mut self, tree: Tree<'_>) -> Result<()> {
+        let boxes = self.boxes.take().map(|_| Default::default());
+        *self = Self { generation: self.generation + 1, boxes, ..Self::default() };
+        let capacity = tree.nodes.len();
+        self.nodes.reserve(capacity);
+        self.parents.reserve(capacity);
+        self.ends.reserve(capacity);
+        self.own.reserve(capacity);
+        self.first_entries.set_capacity(capacity);
+        self.pending = Pending { is_built: true, ..Pending::default() };
+        self.check_room(tree, tree.root)?;
+        self.plant(tree, tree.root, Self::NO_PARENT, false);
+        Ok(())
+    }
+
+    fn update_structure(&mut self, tree: Tree<'_>) -> Result<()> {
+        // 1. Those that have another parent leave the old one. Where they are instanced, they stay.
+        let unplanted = std::mem::take(&mut self.pending.unplanted);
+        for &node in &unplanted {
+            let real: Vec<usize> = self.entries(node).filter(|&entry| !self.own[entry].instanced).collect();
+            for entry in real {
+                self.uproot(entry);
+            }
+        }
+
+        // 2. They appear below every entry of their parent, with all below them. Below one that is planted later, or was
+        //    planted here, they come with it.
+        for node in unplanted {
+            let Some(slot) = tree.nodes.get(node) else { continue };
+            let Some(parent) = slot.parent else { continue };
+            let parents: Vec<usize> = self.entries(parent).collect();
+            for parent in parents {
+                let stands_here = |entry: usize| self.parents[entry] as usize == parent && !self.own[entry].instanced;
+                if !self.entries(node).any(stands_here) {
+                    self.graft(tree, node, parent, false)?;
+                }
+            }
+        }
+
+        // 3. What is instanced stands below every entry of the node that instances it.
+        for node in std::mem::take(&mut self.pending.instances) {
+            if !tree.nodes.contains_key(node) {
+                continue;
+            }
+            let target = tree.target(node);
+            let entries: Vec<usize> = self.entries(node).collect();
+            for entry in entries {
+                let instanced = self.instanced_below(entry);
+                if instanced.map(|entry| self.nodes[entry]) == target {
+                    continue;
+                }
+                if let Some(old) = instanced {
+                    self.uproot(old);
+                }
+                if let Some(target) = target {
+                    self.graft(tree, target, entry, true)?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The entry that stands below `entry` because that one instances its node.
+    fn instanced_below(&self, entry: usize) -> Option<usize> {
+        let is_it = |&below: &usize| {
+            self.parents.get(below) == Some(&(entry as u32))
+                && self.own[below].instanced
+                && !self.nodes[below].is_null()
+        };
+        let grafts = self.grafts_below(entry..entry + 1);
+        std::iter::once(entry + 1).chain(grafts).find(is_it)
+    }
+
+    /// Plants a subtree at the end of the arrays, below an entry that may lie anywhere before it.
+    fn graft(&mut self, tree: Tree<'_>, node: NodeKey, parent: usize, instanced: bool) -> Result<()> {
+        let start = self.nodes.len();
+        self.check_room(tree, node)?;
+        self.plant(tree, node, parent as u32, instanced);
+        self.grafts.entry(parent as u32).or_default().push(start as u32);
+        self.grafted += self.nodes.len() - start;
+        Ok(())
+    }
+
+    /// Appends entries for a node and all below it in preorder: what a node instances comes before its children.
+    fn plant(&mut self, tree: Tree<'_>, top: NodeKey, parent: u32, instanced: bool) {
+        let first = self.nodes.len() as u32;
+        let (mut node, mut parent, mut instanced) = (top, parent, instanced);
+        'down: loop {
+            let entry = self.push(tree, node, parent, instanced);
+            if let Some(target) = tree.target(node) {
+                (node, parent, instanced) = (target, entry, true);
+                continue;
+            }
+            if let Some(child) = tree.nodes[node].first_child {
+                (node, parent, instanced) = (child, entry, false);
+                continue;
+            }
+            // Go up to what comes next, closing the subtrees that end here.
+            let mut closed = entry;
+            loop {
+                self.ends[closed as usize] = self.nodes.len() as u32;
+                if closed == first {
+                    self.pending.dirty.insert(first as usize);
+                    return;
+                }
+                let above = self.parents[closed as usize];
+                let next = if self.own[closed as usize].instanced {
+                    tree.nodes[self.nodes[above as usize]].first_child
+                } else {
+                    tree.nodes[self.nodes[closed as usize]].next_sibling
+                };
+                if let Some(next) = next {
+                    (node, parent, instanced) = (next, above, false);
+                    continue 'down;
+                }
+                closed = above;
+            }
+        }
+    }
+
+    /// Checks, before anything is allocated, that a subtree has not too many entries.
+    fn check_room(&self, tree: Tree<'_>, top: NodeKey) -> Result<()> {
+        if !tree.has_instances {
+            return Ok(());
+        }
+        let used = self.nodes.len() - self.gaps.len();
+        let needed = tree.entry_count(top).saturating_add(used as u64);
+        let limit = (tree.nodes.len() + Self::MAX_INSTANCED) as u64;
+        let (what, hint) = ("the scene with all instances of its nodes", "; instances of instances multiply");
+        if needed <= limit { Ok(()) } else { Err(Error::Limit { what, needed, limit, hint }) }
+    }
+
+    fn push(&mut self, tree: Tree<'_>, key: NodeKey, parent: u32, instanced: bool) -> u32 {
+        let entry = self.nodes.len() as u32;
+        let node = &tree.nodes[key];
+        let core = &tree.cores[node.core].core;
+        let copy = instanced || self.own.get(parent as usize).is_some_and(|own| own.copy);
+        let mut own = Own { instanced, copy, ..Own::DEFAULT };
+        own.read(node, core);
+        if matches!(core, Core::Switch(_)) {
+            self.pending.switches.insert(key);
+        }
+        self.nodes.push(key);
+        self.parents.push(parent);
+        self.ends.push(entry + 1);
+        self.own.push(own);
+        self.placed.push(Placed::NOWHERE);
+        match self.first_entries.get(key) {
+            None => drop(self.first_entries.insert(key, entry)),
+            Some(_) => self.more_entries.entry(key).or_default().push(entry),
+        }
+        entry
+    }
+
+    /// Leaves gaps for an entry and all below it.
+    fn uproot(&mut self, entry: usize) {
+        if self.nodes[entry].is_null() {
+            return;
+        }
+        for range in self.subtree(entry) {
+            self.clear(range);
+        }
+    }
+
+    fn clear(&mut self, range: Range<usize>) {
+        for entry in range {
+            let node = std::mem::take(&mut self.nodes[entry]);
+            if !node.is_null() {
+                self.forget(node, entry as u32);
+                self.own[entry].visible = false;
+                self.placed[entry].visible = false;
+                self.gaps.push(entry as u32);
+                if let Some(boxes) = &mut self.boxes {
+                    boxes.entry_changed(entry);
+                }
+            }
+        }
+    }
+
+    fn forget(&mut self, node: NodeKey, entry: u32) {
+        let more = self.more_entries.get_mut(&node);
+        if self.first_entries.get(node) == Some(&entry) {
+            match more.and_then(Vec::pop) {
+                Some(other) => drop(self.first_entries.insert(node, other)),
+                None => drop(self.first_entries.remove(node)),
+            }
+        } else if let Some(more) = more {
+            more.retain(|&other| other != entry);
+        }
+        if self.more_entries.get(&node).is_some_and(Vec::is_empty) {
+            self.more_entries.remove(&node);
+        }
+    }
+
+    /// Finds out which children are chosen wherever that may have changed. O(children of the switches).
+    fn choose_children(&mut self, tree: Tree<'_>) {
+        for node in std::mem::take(&mut self.pending.switches) {
+            let Some(slot) = tree.nodes.get(node) else { continue };
+            let core = &tree.cores[slot.core].core;
+            let (mut child, mut number) = (slot.first_child, 0);
+            while let Some(key) = child {
+                let chosen = if let Core::Switch(switch) = core { switch.shows(number) } else { true };
+                let entries: Vec<usize> = self.entries(key).collect();
+                for entry in entries {
+                    let own = &mut self.own[entry];
+                    if !own.instanced && own.chosen != chosen {
+                        own.chosen = chosen;
+                        self.pending.dirty.insert(entry);
+                    }
+                }
+                (child, number) = (tree.nodes[key].next_sibling, number + 1);
+            }
+        }
+    }
+}
+
+impl Tree<'_> {
+    /// The node that this one instances, if that is still there.
+    fn target(self, node: NodeKey) -> Option<NodeKey> {
+        match *self.core(node) {
+            Core::Instance(target) => Some(target).filter(|&target| self.nodes.contains_key(target)),
+            _ => None,
+        }
+    }
+}
+
+impl Tree<'_> {
+    /// How many entries a node and all below it have. O(nodes that are shown there, each counted twice at most).
+    fn entry_count(self, top: NodeKey) -> u64 {
+        let mut counts: HashMap<NodeKey, u64> = HashMap::new();
+        let mut open = vec![top];
+        while let Some(&node) = open.last() {
+            let (mut count, before) = (0u64, open.len());
+            let mut next = Some(node);
+            while let Some(below) = next {
+                count = count.saturating_add(1);
+                match self.target(below).map(|target| (target, counts.get(&target))) {
+                    Some((_, Some(&more))) => count = count.saturating_add(more),
+                    Some((target, None)) => open.push(target),
+                    None => {}
+                }
+                next = self.after(node, below);
+            }
+            if open.len() == before {
+                counts.insert(node, count);
+                open.pop();
+            }
+        }
+        counts[&top]
+    }
+
+    /// The node after `node` in preorder, by children, at or below `top`.
+    fn after(self, top: NodeKey, mut node: NodeKey) -> Option<NodeKey> {
+        if let Some(child) = self.nodes[node].first_child {
+            return Some(child);
+        }
+        while node != top {
+            let slot = &self.nodes[node];
+            if slot.next_sibling.is_some() {
+                return slot.next_sibling;
+            }
+            node = slot.parent?;
+        }
+        None
+    }
+}
+
+impl Own {
+    const DEFAULT: Self = Self {
+        local: DAffine3::IDENTITY,
+        material: None,
+        mask: u32::MAX,
+        visible: true,
+        has_transform: false,
+        chosen: true,
+        instanced: false,
+        copy: false,
+    };
+
+    /// Takes over what node and core say.
+    fn read(&mut self, node: &Node, core: &Core) {
+        (self.local, self.has_transform) = match core {
+            Core::Transform(transform) => (transform.to_affine(), true),
+            _ => (DAffine3::IDENTITY, false),
+        };
+        self.material = match *core {
+            Core::MaterialGroup(material) => Some(material),
+            _ => None,
+        };
+        (self.mask, self.visible) = (node.mask, node.visible);
+    }
+}
