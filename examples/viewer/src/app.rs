@@ -26,8 +26,6 @@ pub(crate) struct App {
     pub(crate) messages: Messages,
     history: History,
     selection: Option<NodeKey>,
-    /// The box around the selection, and the scene's revision that it is of.
-    selected_bounds: Option<(u64, Bounds)>,
     control: CameraControl,
     /// Where the camera was at first.
     home: View,
@@ -65,8 +63,8 @@ impl App {
         window: Option<WindowDevice>,
     ) -> ropewalk::Result<Self> {
         let (drawing, messages) = open_device(device, window)?;
-        let scene = Scene::new();
-        let view = View::framing(&scene, 0, 0)?;
+        let mut scene = Scene::new();
+        let view = View::framing(&mut scene, 0, 0)?;
         let mut app = Self {
             scene,
             title: String::new(),
@@ -75,7 +73,6 @@ impl App {
             messages,
             history: History::default(),
             selection: None,
-            selected_bounds: None,
             control: CameraControl::from_view(&view, DVec3::ZERO),
             home: view.clone(),
             view,
@@ -130,29 +127,34 @@ impl App {
 
     /// Puts the free camera where it was at first.
     pub(crate) fn go_home(&mut self) {
-        let bounds = self.scene.world_bounds(self.scene.root()).ok().filter(|bounds| !bounds.is_empty());
         self.settings.camera = None;
-        self.control = CameraControl::from_view(&self.home, bounds.map_or(DVec3::ZERO, |bounds| bounds.center()));
+        let middle = self.middle();
+        self.control = CameraControl::from_view(&self.home, middle);
     }
 
     /// Brings the selection, or without one the whole scene, into the picture.
     pub(crate) fn frame(&mut self) {
-        let bounds = match self.selection {
-            Some(_) => self.selected_bounds(),
-            None => self.scene.world_bounds(self.scene.root()).ok(),
-        };
-        if let Some(bounds) = bounds.filter(|bounds| !bounds.is_empty()) {
-            self.free_camera().frame(&bounds);
+        let node = self.selection.unwrap_or(self.scene.root());
+        match self.scene.world_bounds(node) {
+            Ok(bounds) if !bounds.is_empty() => self.free_camera().frame(&bounds),
+            Ok(_) => {}
+            Err(error) => self.fail(&error.to_string()),
         }
     }
 
     /// The free camera, which from now on is looked through: from where the view is.
     pub(crate) fn free_camera(&mut self) -> &mut CameraControl {
         if self.settings.camera.take().is_some() {
-            let bounds = self.scene.world_bounds(self.scene.root()).ok().filter(|bounds| !bounds.is_empty());
-            self.control = CameraControl::from_view(&self.view, bounds.map_or(DVec3::ZERO, |bounds| bounds.center()));
+            let middle = self.middle();
+            self.control = CameraControl::from_view(&self.view, middle);
         }
         &mut self.control
+    }
+
+    /// The middle of the scene.
+    fn middle(&mut self) -> DVec3 {
+        let bounds = self.scene.world_bounds(self.scene.root()).ok().filter(|bounds| !bounds.is_empty());
+        bounds.map_or(DVec3::ZERO, |bounds| bounds.center())
     }
 
     /// The cameras of the scene.
@@ -219,7 +221,7 @@ impl App {
 
     /// Selects a node, or nothing.
     pub(crate) fn select(&mut self, node: Option<NodeKey>) {
-        (self.selection, self.selected_bounds) = (node.filter(|&node| self.scene.contains(node)), None);
+        self.selection = node.filter(|&node| self.scene.contains(node));
         self.events.push(json!({ "event": "selected", "node": self.selection }));
     }
 
@@ -231,13 +233,10 @@ impl App {
         }
     }
 
-    /// The box around the selection.
+    /// The box around the selection; none around nothing.
     pub(crate) fn selected_bounds(&mut self) -> Option<Bounds> {
-        let (node, revision) = (self.selection?, self.scene.revision());
-        if self.selected_bounds.is_none_or(|(of, _)| of != revision) {
-            self.selected_bounds = Some((revision, self.scene.world_bounds(node).ok()?));
-        }
-        self.selected_bounds.map(|(_, bounds)| bounds).filter(|bounds| !bounds.is_empty())
+        let bounds = self.scene.world_bounds(self.selection?).ok()?;
+        (!bounds.is_empty()).then_some(bounds)
     }
 
     /// Takes hold of the selection, if it is what is seen at this position; whether it is.

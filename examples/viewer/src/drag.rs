@@ -89,14 +89,12 @@ impl Drag {
     }
 }
 
-/// The transform moved in its parent's space; in its own form where that has a translation.
+/// The transform moved in its parent's space, in its own form.
 fn translated(transform: Transform, offset: DVec3) -> Transform {
-    match transform {
-        Transform::Trs { translation, rotation, scale } => {
-            Transform::Trs { translation: translation + offset, rotation, scale }
-        }
-        Transform::Matrix(_) => Transform::Matrix(DAffine3::from_translation(offset) * transform.to_affine()),
-    }
+    let (Transform::Trs { translation, .. }
+    | Transform::Pivoted { translation, .. }
+    | Transform::Matrix(DAffine3 { translation, .. })) = transform;
+    transform.with_translation(translation + offset)
 }
 
 #[cfg(test)]

@@ -76,7 +76,8 @@ impl Inspector {
 
     fn transform(&mut self, ui: &mut Ui, app: &mut App, node: NodeKey, transform: Transform) {
         let (mut scale, rotation, mut translation) = match transform {
-            Transform::Trs { translation, rotation, scale } => (scale, rotation, translation),
+            Transform::Trs { translation, rotation, scale }
+            | Transform::Pivoted { translation, rotation, scale, .. } => (scale, rotation, translation),
             Transform::Matrix(matrix) => matrix.to_scale_rotation_translation(),
         };
         let mut angles = self.angles_of(rotation);
@@ -98,7 +99,13 @@ impl Inspector {
         if moved || turned {
             let rotation = if turned { rotation_of(angles) } else { rotation };
             self.angles = Some((rotation, angles));
-            app.edit(Edit::Move(node, Transform::Trs { translation, rotation, scale }));
+            let edited = match transform {
+                Transform::Pivoted { scale_rotation, pivot, .. } => {
+                    Transform::Pivoted { translation, rotation, scale, scale_rotation, pivot }
+                }
+                Transform::Trs { .. } | Transform::Matrix(_) => Transform::Trs { translation, rotation, scale },
+            };
+            app.edit(Edit::Move(node, edited));
         }
     }
 

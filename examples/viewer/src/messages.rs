@@ -37,6 +37,12 @@ impl Messages {
         &self.shown
     }
 
+    /// How long from now on the messages stay as they are.
+    pub(crate) fn settled_for(&self, now: Instant) -> Option<Duration> {
+        let passing = self.shown.iter().filter(|message| !message.is_error);
+        passing.map(|message| SHOWN.saturating_sub(now.saturating_duration_since(message.since))).min()
+    }
+
     pub(crate) fn dismiss(&mut self, index: usize) {
         if index < self.shown.len() {
             self.shown.remove(index);
@@ -50,5 +56,24 @@ impl Messages {
         if self.shown.len() > MOST {
             self.shown.remove(0);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn news_pass_and_errors_stay() {
+        let mut messages = Messages::default();
+        (messages.tell("news"), messages.fail("an error"), messages.fail("an error"));
+        let now = Instant::now();
+        assert_eq!(messages.current(now).len(), 2);
+        let later = now + messages.settled_for(now).unwrap();
+        assert!(messages.current(later).iter().all(|message| message.is_error));
+        assert_eq!(messages.settled_for(later), None);
+        messages.dismiss(0);
+        messages.dismiss(0);
+        assert!(messages.current(later).is_empty());
     }
 }

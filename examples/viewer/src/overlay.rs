@@ -107,7 +107,11 @@ fn graph(ui: &mut Ui, times: impl DoubleEndedIterator<Item = Duration> + Clone) 
 /// Messages, in the lower left corner; a click dismisses one.
 fn messages(ui: &Ui, app: &mut App, rect: Rect) {
     let loading = app.loading().map(|title| format!("Loading {title} …"));
-    let current = app.messages.current(Instant::now()).to_vec();
+    let now = Instant::now();
+    let current = app.messages.current(now).to_vec();
+    if let Some(delay) = app.messages.settled_for(now) {
+        ui.ctx().request_repaint_after(delay);
+    }
     if loading.is_none() && current.is_empty() {
         return;
     }

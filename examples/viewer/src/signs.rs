@@ -16,6 +16,13 @@ pub(crate) fn paint(painter: &Painter, center: Pos2, core: &Core, strength: f32)
         Core::Geometry { .. } => triangle(painter, center, color(0x8F, 0xC9, 0x8A)),
         Core::Light(_) => sun(painter, center, color(0xF2, 0xD0, 0x6B)),
         Core::Camera(_) => camera(painter, center, color(0xC8, 0xA2, 0xE0)),
+        Core::Instance(_) => {
+            let stroke = Stroke::new(1.3, color(0xE0, 0x9A, 0xB0));
+            for offset in [vec2(-1.8, -1.8), vec2(1.8, 1.8)] {
+                let rect = Rect::from_center_size(center + offset, Vec2::splat(7.0));
+                painter.rect_stroke(rect, 1.0, stroke, StrokeKind::Middle);
+            }
+        }
         _ => {
             let rect = Rect::from_center_size(center, Vec2::splat(8.0));
             let stroke = Stroke::new(1.3, theme::WEAK.gamma_multiply(strength));

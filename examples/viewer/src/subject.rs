@@ -58,7 +58,7 @@ impl Subject {
                 (builtin::sky(), 0)
             }
         };
-        let mut view = first_view(&scene).map_err(|error| error.to_string())?;
+        let mut view = first_view(&mut scene).map_err(|error| error.to_string())?;
         view.sky = sky;
         light_if_dark(&mut scene, &view).map_err(|error| error.to_string())?;
         Ok(Self { scene, title: title(path), view, not_honoured })
@@ -66,7 +66,7 @@ impl Subject {
 }
 
 /// Through the first camera, else from where everything is seen.
-fn first_view(scene: &Scene) -> ropewalk::Result<View> {
+fn first_view(scene: &mut Scene) -> ropewalk::Result<View> {
     /// The usual shape of a window. A view takes another size later.
     const SIZE: (u32, u32) = (1200, 800);
 

@@ -1,7 +1,8 @@
 //! What the library renders of the same scene, without a window.
 
+use ropewalk::glam::DVec3;
 use ropewalk::image::{Image, PIXELS_PER_DEGREE, flip};
-use ropewalk::{Core, DeviceChoice, NodeKey, Renderer, RendererOptions, Scene, View};
+use ropewalk::{Camera, Core, DeviceChoice, NodeKey, Renderer, RendererOptions, Scene, View};
 
 use crate::builtin;
 
@@ -36,22 +37,26 @@ impl Expected {
         let is_ball = |node: &NodeKey| matches!(self.scene.core(*node), Ok(Core::Geometry { .. }));
         let ball = nodes.into_iter().filter(is_ball).max_by_key(|&ball| pixels_of(&image, ball).len()).unwrap();
         let pixels = pixels_of(&image, ball);
-        let middle = mean(&pixels);
+        let middle = [0, 1].map(|i| pixels.iter().map(|pixel| f64::from(pixel[i])).sum::<f64>() / pixels.len() as f64);
         let distance = |pixel: &&[u32; 2]| (0..2).map(|i| (f64::from(pixel[i]) - middle[i]).powi(2)).sum::<f64>();
         let nearest = pixels.iter().min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap();
         (ball, *nearest)
     }
+
+    /// Where a point of the world is in the picture, from its upper left corner.
+    pub(crate) fn position_of(&self, point: DVec3) -> [f64; 2] {
+        let Camera::Perspective { y_fov, aspect: None } = self.view.camera else { panic!("{:?}", self.view.camera) };
+        let [width, height] = [self.view.width, self.view.height].map(f64::from);
+        let seen = self.view.world_from_view.inverse().transform_point3(point);
+        let pixels = height * 0.5 / (f64::from(y_fov) * 0.5).tan() / -seen.z;
+        [width * 0.5 + seen.x * pixels, height * 0.5 - seen.y * pixels]
+    }
 }
 
 /// The pixels in which a node is seen.
-pub(crate) fn pixels_of(image: &Image, node: NodeKey) -> Vec<[u32; 2]> {
+fn pixels_of(image: &Image, node: NodeKey) -> Vec<[u32; 2]> {
     let pixels = (0..image.height).flat_map(|y| (0..image.width).map(move |x| [x, y]));
     pixels.filter(|&[x, y]| image.node_at(x, y) == Some(node)).collect()
-}
-
-/// The middle of some pixels.
-pub(crate) fn mean(pixels: &[[u32; 2]]) -> [f64; 2] {
-    [0, 1].map(|i| pixels.iter().map(|pixel| f64::from(pixel[i])).sum::<f64>() / pixels.len() as f64)
 }
 
 /// How different two pictures look, 0 to 1.

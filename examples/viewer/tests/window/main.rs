@@ -9,14 +9,14 @@ mod display;
 mod expected;
 mod viewer;
 
+use std::path::Path;
 use std::time::{Duration, Instant};
 
-use ropewalk::Transform;
 use ropewalk::glam::DVec3;
 use serde_json::json;
 
 use display::{CONTROL, Display, HOME};
-use expected::{Expected, difference, mean, pixels_of};
+use expected::{Expected, difference};
 use viewer::Viewer;
 
 /// Pictures that differ less look the same: 8 bit rounding, and the tie band of two executors.
@@ -24,8 +24,8 @@ const SAME: f32 = 0.004;
 /// Pictures that differ more are of different things: at least a ball has moved.
 const OTHER: f32 = 0.02;
 
-/// How long what was drawn may be on its way to the screen.
-const PATIENCE: Duration = Duration::from_secs(5);
+/// How long what was drawn may be on its way to the screen. News are shown for 5 s over it.
+const PATIENCE: Duration = Duration::from_secs(12);
 
 const SMALL: [&str; 4] = ["--size", "880x380", "--samples", "1"];
 
@@ -65,16 +65,22 @@ fn what_is_clicked_is_selected_and_what_is_dragged_moves_until_it_is_undone() {
     viewer.wait_for_rest(&display);
     let transform = expected.scene.parent(ball).unwrap().unwrap();
     assert_eq!(moved["node"], json!(transform));
-    let before = mean(&pixels_of(&expected.render(), ball));
-    let place_now: [f64; 3] = serde_json::from_value(moved["translation"].clone()).unwrap();
-    let local: Transform = expected.scene.local(transform).unwrap().with_translation(DVec3::from(place_now));
-    expected.scene.set_local(transform, local).unwrap();
-    let image = expected.render();
-    let after = mean(&pixels_of(&image, ball));
-    for i in 0..2 {
-        let went = after[i] - before[i];
-        assert!((went - f64::from(way[i])).abs() < 4.0, "the ball went {went} pixels, the pointer {}", way[i]);
+    let [now, anchor] = ["translation", "anchor"].map(|point| -> DVec3 {
+        let numbers: [f64; 3] = serde_json::from_value(moved[point].clone()).unwrap();
+        numbers.into()
+    });
+    let local = expected.scene.local(transform).unwrap();
+    let held = anchor + now - local.to_affine().translation;
+    for (point, pixel) in [(anchor, pixel), (held, along(10))] {
+        let [x, y] = expected.position_of(point);
+        let [right, below] = pixel.map(|number| f64::from(number) + 0.5);
+        assert!(
+            (x - right).abs() < 0.1 && (y - below).abs() < 0.1,
+            "it is held at {x}, {y}, the pointer is at {pixel:?}"
+        );
     }
+    expected.scene.set_local(transform, local.with_translation(now)).unwrap();
+    let image = expected.render();
     let second = shown(&display, place, &image.to_rgba8(), "after the drag");
     assert_other(width, &second, &first, "the drag");
 
@@ -146,7 +152,19 @@ fn shown(display: &Display, place: [u16; 4], picture: &[[u8; 4]], what: &str) ->
         if difference < SAME {
             return screen;
         }
-        assert!(start.elapsed() < PATIENCE, "{what}: the screen differs by {difference}");
+        if start.elapsed() > PATIENCE {
+            let [expected, actual] = [("expected", picture), ("actual", &screen)].map(|(name, pixels)| {
+                let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("{what} - {name}.png"));
+                let bytes = pixels.as_flattened();
+                image::save_buffer(&path, bytes, place[2].into(), place[3].into(), image::ColorType::Rgba8).unwrap();
+                path
+            });
+            panic!(
+                "{what}: the screen differs by {difference}: {} is to look as {}",
+                actual.display(),
+                expected.display()
+            );
+        }
     }
 }
 
