@@ -46,6 +46,7 @@ pub mod gltf;
 pub mod graph;
 pub mod image;
 pub mod math;
+pub mod query;
 pub mod render;
 pub mod trace;
 
@@ -53,11 +54,12 @@ pub use error::{Error, Result};
 /// The vectors, quaternions and matrices of this interface.
 pub use glam;
 pub use graph::{
-    AlphaMode, Billboard, Camera, Change, Changes, Core, CoreKey, CoreSource, Cursor, Filter, Geometry, GeometryKey,
-    Hierarchy, Keep, Light, LightKind, Lod, LodMeasure, Material, MaterialKey, NodeKey, NodePath, Object, Placed,
-    Sampler, Scene, SceneId, Switch, Texture, TextureKey, TextureRef, Transform, Wrap,
+    AlphaMode, Billboard, Camera, Change, Changes, Core, CoreKey, CoreSource, Cursor, Descend, Filter, Geometry,
+    GeometryKey, Hierarchy, Keep, Light, LightKind, Lod, LodMeasure, Material, MaterialKey, NodeKey, NodePath, Object,
+    Placed, Sampler, Scene, SceneId, Switch, Texture, TextureKey, TextureRef, Transform, Visitor, Wrap,
 };
 pub use math::{Aabb, Bounds};
+pub use query::{Hit, Queries, Ray, Region};
 pub use render::{DeviceChoice, Frame, FrameReport, Renderer, RendererOptions, Sky, View};
 
 /// The README's program compiles.

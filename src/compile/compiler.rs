@@ -1,14 +1,15 @@
 //! The compiler: reads what changed in a scene and brings the device arrays up to date with the smallest update.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashMap};
 use std::ops::Range;
+use std::sync::Arc;
 use std::time::Instant;
 
 use glam::DVec3;
 
 use super::dirty::Dirty;
 use super::geometry_cache::GeometryCache;
-use super::instance_table::{InstanceTable, Member, Sources};
+use super::instance_table::{InstanceSource, InstanceTable, Member, Sources};
 use super::material_table::MaterialTable;
 use super::observer::Observer;
 use super::report::CompileReport;
@@ -17,7 +18,7 @@ use super::{Needs, pack};
 use crate::Result;
 use crate::accel::Update;
 use crate::device::DeviceArrays;
-use crate::graph::{Changes, Core, Cursor, Hierarchy, Scene};
+use crate::graph::{Changes, Core, Cursor, Hierarchy, NodeKey, Scene};
 use crate::math::{Aabb, Bounds};
 
 /// Turns one scene after another, or one scene edit by edit, into [`DeviceArrays`].
@@ -38,6 +39,8 @@ pub struct Compiler {
     /// Entries with a light core that are shown.
     lights: BTreeSet<u32>,
     view: ViewDependent,
+    /// The instances of nodes on the way to each entry that is instanced.
+    paths: HashMap<u32, Arc<[NodeKey]>>,
     /// Where the device's world has its origin, in the scene's world.
     origin: DVec3,
     /// The report of a compile that finds nothing changed.
@@ -70,6 +73,7 @@ impl Compiler {
             instances: InstanceTable::default(),
             lights: BTreeSet::new(),
             view: ViewDependent::default(),
+            paths: HashMap::new(),
             origin: DVec3::ZERO,
             unchanged: CompileReport::default(),
         }
@@ -104,6 +108,12 @@ impl Compiler {
     /// The render origin: the point of the scene's world at which the device's world has its origin.
     pub fn origin(&self) -> DVec3 {
         self.origin
+    }
+
+    /// What stands at a place in the `instances` array; `None` where nothing does. O(1), or O(instances of nodes that it is
+    /// seen through).
+    pub fn instance(&self, slot: u32) -> Option<InstanceSource> {
+        self.instances.source(slot)
     }
 
     fn try_compile(&mut self, scene: &mut Scene, observer: &Observer) -> Result<CompileReport> {
@@ -160,6 +170,7 @@ impl Compiler {
             self.seen = Seen { generation: hierarchy.generation(), entries: entry_count, gaps: 0 };
             self.lights.clear();
             self.view.clear();
+            self.paths.clear();
             let mut members = Vec::new();
             for entry in 0..entry_count {
                 members.extend(self.classify(scene, hierarchy, entry)?);
@@ -170,6 +181,7 @@ impl Compiler {
 
         for &gap in &hierarchy.gaps()[self.seen.gaps.min(hierarchy.gaps().len())..] {
             self.view.forget(gap);
+            self.paths.remove(&gap);
             self.lights.remove(&gap);
             if (gap as usize) < self.seen.entries {
                 self.instances.set(gap as usize, None, &mut self.arrays)?;
@@ -235,10 +247,18 @@ impl Compiler {
         Ok(match *core {
             Core::Geometry { geometry, material } if shown => {
                 let material = placed.material.unwrap_or(material);
-                Some(Member { entry: entry as u32, node, geometry, material })
+                let instances = self.instances_above(hierarchy, entry);
+                Some(Member { entry: entry as u32, node, instances, geometry, material })
             }
             _ => None,
         })
+    }
+
+    /// The instances of nodes that an entry is seen through: all entries below the same one share the list.
+    fn instances_above(&mut self, hierarchy: &Hierarchy, entry: usize) -> Option<Arc<[NodeKey]>> {
+        let top = hierarchy.instanced_at(entry)?;
+        let path = self.paths.entry(top as u32).or_insert_with(|| hierarchy.path(top).instances.into());
+        Some(Arc::clone(path))
     }
 
     fn has_lights(&self, range: &Range<usize>) -> bool {

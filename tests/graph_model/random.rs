@@ -152,7 +152,7 @@ fn light(value: u8) -> Light {
 }
 
 fn camera(value: u8) -> Camera {
-    Camera::Perspective { y_fov: [1.0, 0.5, 0.0, f32::INFINITY][usize::from(value % 4)], aspect: None }
+    Camera::perspective([1.0, 0.5, 0.0, f32::INFINITY][usize::from(value % 4)])
 }
 
 fn geometry(value: u8) -> Geometry {

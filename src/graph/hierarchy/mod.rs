@@ -24,7 +24,7 @@ use super::bit_set::BitSet;
 use super::core::CoreSlot;
 use super::node::Node;
 use super::validate::check;
-use super::{Core, CoreKey, GeometryKey, MaterialKey, NodeKey};
+use super::{Core, CoreKey, GeometryKey, MaterialKey, NodeKey, NodePath};
 use crate::Result;
 
 /// All nodes of a scene, flattened: a node's subtree is a range of indices that begins with the node's own, and the
@@ -64,15 +64,6 @@ pub struct Placed {
     pub mask: u32,
     /// Whether it and all above it are visible and chosen by their switches. (Levels of detail depend on the view.)
     pub visible: bool,
-}
-
-/// Which appearance of a node: the instances through which it is seen, and the node.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
-pub struct NodePath {
-    /// The nodes with [`Core::Instance`] on the way from the root, outermost first; empty where the node itself stands.
-    pub instances: Vec<NodeKey>,
-    /// The node.
-    pub node: NodeKey,
 }
 
 /// What an entry contributes to itself and to all below it.
@@ -191,6 +182,22 @@ impl Hierarchy {
             Self::NO_PARENT => DAffine3::IDENTITY,
             parent => self.placed[parent as usize].world,
         }
+    }
+
+    /// The entry, or the nearest above it, that is there because its parent instances its node; `None` where the node itself
+    /// stands. O(depth).
+    ///
+    /// # Panics
+    /// If there is no entry at the index.
+    pub fn instanced_at(&self, entry: usize) -> Option<usize> {
+        let mut above = entry;
+        while self.own[above].copy {
+            if self.own[above].instanced {
+                return Some(above);
+            }
+            above = self.parents[above] as usize;
+        }
+        None
     }
 
     /// Which appearance of its node the entry is. O(depth).
