@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use glam::{DVec2, DVec3};
-use ropewalk::{Bounds, DeviceChoice, NodeKey, Scene, View};
+use ropewalk::query::Hit;
+use ropewalk::{DeviceChoice, NodeKey, Scene, View};
 use serde_json::{Value, json};
 
 use crate::camera_control::CameraControl;
@@ -111,7 +112,8 @@ impl App {
         self.loading = None;
     }
 
-    fn show(&mut self, subject: Subject) {
+    /// Shows another scene.
+    pub(crate) fn show(&mut self, subject: Subject) {
         let Subject { scene, title, view, not_honoured } = subject;
         if not_honoured > 0 {
             self.messages.tell(format!("{title}: {not_honoured} features of the file are not honoured"));
@@ -228,15 +230,21 @@ impl App {
     /// Selects what is seen at a position of the picture.
     pub(crate) fn pick(&mut self, position: DVec2) {
         match self.drawing.pick(&mut self.scene, &self.view, position) {
-            Ok(hit) => self.select(hit.map(|hit| hit.node)),
+            Ok(hit) => self.select(hit.map(|hit| in_tree(&hit))),
             Err(error) => self.fail(&error.to_string()),
         }
     }
 
-    /// The box around the selection; none around nothing.
-    pub(crate) fn selected_bounds(&mut self) -> Option<Bounds> {
-        let bounds = self.scene.world_bounds(self.selection?).ok()?;
-        (!bounds.is_empty()).then_some(bounds)
+    /// The corners of the box around the selection, in the order of [`Bounds::corners`](ropewalk::Bounds::corners): its
+    /// own box where it is a geometry, a box along the world's axes around a subtree.
+    pub(crate) fn selected_corners(&mut self) -> Option<[DVec3; 8]> {
+        let node = self.selection?;
+        if let Some(geometry) = self.scene.core(node).ok()?.geometry() {
+            let (bounds, world) = (self.scene.geometry_bounds(geometry).ok()?, self.scene.world(node).ok()?);
+            return (!bounds.is_empty()).then(|| bounds.corners().map(|corner| world.transform_point3(corner)));
+        }
+        let bounds = self.scene.world_bounds(node).ok()?;
+        (!bounds.is_empty()).then(|| bounds.corners())
     }
 
     /// Takes hold of the selection, if it is what is seen at this position; whether it is.
@@ -251,7 +259,7 @@ impl App {
     fn take_hold(&mut self, position: DVec2, moves: Moves) -> Result<Option<Drag>, String> {
         let Some(selection) = self.selection else { return Ok(None) };
         let hit = self.drawing.pick(&mut self.scene, &self.view, position).map_err(|error| error.to_string())?;
-        let Some(hit) = hit.filter(|hit| is_at_or_below(&self.scene, hit.node, selection)) else { return Ok(None) };
+        let Some(hit) = hit.filter(|hit| is_at_or_below(&self.scene, in_tree(hit), selection)) else { return Ok(None) };
         let node = moved_by(&self.scene, selection, moves)
             .ok_or("This cannot be moved: neither it nor any node above it is a transform.")?;
         let forward = self.projection().forward();
@@ -341,6 +349,11 @@ fn open_device(choice: DeviceChoice, window: Option<WindowDevice>) -> ropewalk::
         Drawing::new(DeviceChoice::Cpu, window)
     })?;
     Ok((drawing, messages))
+}
+
+/// The node of the tree that was hit; of what is seen through instances, the outermost instance.
+fn in_tree(hit: &Hit) -> NodeKey {
+    hit.path.instances.first().copied().unwrap_or(hit.path.node)
 }
 
 fn is_at_or_below(scene: &Scene, node: NodeKey, top: NodeKey) -> bool {

@@ -54,7 +54,7 @@ impl CameraControl {
     /// Moves towards the point ahead, or away: each step by a tenth of the way.
     pub(crate) fn zoom(&mut self, steps: f64) {
         let factor = 0.9_f64.powf(steps.clamp(-50.0, 50.0));
-        if let Camera::Orthographic { x_mag, y_mag } = &mut self.camera {
+        if let Camera::Orthographic { x_mag, y_mag, .. } = &mut self.camera {
             *x_mag *= factor as f32;
             *y_mag *= factor as f32;
         }
@@ -73,7 +73,7 @@ impl CameraControl {
         let radius = bounds.radius().max(f64::MIN_POSITIVE);
         match &mut self.camera {
             Camera::Perspective { y_fov, .. } => self.distance = radius / (f64::from(*y_fov) * 0.5).sin() * 1.1,
-            Camera::Orthographic { x_mag, y_mag } => {
+            Camera::Orthographic { x_mag, y_mag, .. } => {
                 (*x_mag, *y_mag) = (radius as f32 * 1.1, radius as f32 * 1.1);
                 self.distance = radius * 2.0;
             }

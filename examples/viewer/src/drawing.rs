@@ -4,13 +4,13 @@ use std::collections::VecDeque;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use glam::DVec2;
+use glam::{DVec2, UVec2};
 use ropewalk::image::Image;
+use ropewalk::query::Hit;
 use ropewalk::{DeviceChoice, FrameReport, Renderer, Result, Scene, View};
 
 use crate::detail::{Detail, Pace, Step};
 use crate::device::{self, Opened, WindowDevice};
-use crate::pick::{Pick, pick};
 
 /// A traced frame, where it is.
 pub(crate) enum Picture {
@@ -103,8 +103,9 @@ impl Drawing {
     }
 
     /// What is seen at a position of the view's picture.
-    pub(crate) fn pick(&mut self, scene: &mut Scene, view: &View, position: DVec2) -> Result<Option<Pick>> {
-        pick(&mut self.renderer, scene, view, position)
+    pub(crate) fn pick(&mut self, scene: &mut Scene, view: &View, position: DVec2) -> Result<Option<Hit>> {
+        let last = UVec2::new(view.width, view.height).saturating_sub(UVec2::ONE);
+        self.renderer.pick(scene, view, position.floor().as_uvec2().min(last).to_array())
     }
 
     /// Writes the view to a file, in full detail however long that takes.

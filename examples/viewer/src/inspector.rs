@@ -81,7 +81,8 @@ impl Inspector {
             Transform::Matrix(matrix) => matrix.to_scale_rotation_translation(),
         };
         let mut angles = self.angles_of(rotation);
-        let step = (app.selected_bounds().map_or(1.0, |bounds| bounds.radius()) * 0.02).clamp(1e-6, 1e6);
+        let radius = app.scene.world_bounds(node).map_or(1.0, |bounds| bounds.radius());
+        let step = (radius * 0.02).clamp(1e-6, 1e6);
         let (mut moved, mut turned) = (false, false);
         Grid::new("transform").num_columns(4).spacing(vec2(6.0, 4.0)).show(ui, |ui| {
             moved |= row(ui, "Position", &mut translation, step, 3);
@@ -213,7 +214,7 @@ fn view(ui: &mut Ui, app: &mut App) {
         });
         ui.end_row();
     });
-    if let Some(mask) = mask_editor(ui, "Seen masks", app.settings.ray_mask) {
+    if let Some(mask) = mask_editor(ui, "Ray mask", app.settings.ray_mask) {
         app.settings.ray_mask = mask;
     }
     let shown = app.drawing.detail();

@@ -16,9 +16,10 @@ mod history;
 mod inspector;
 mod messages;
 mod overlay;
-mod pick;
 mod present;
 mod projection;
+#[cfg(test)]
+mod session_tests;
 mod signs;
 #[path = "../../render/stage.rs"]
 mod stage;

@@ -66,7 +66,9 @@ mod tests {
     #[test]
     fn news_pass_and_errors_stay() {
         let mut messages = Messages::default();
-        (messages.tell("news"), messages.fail("an error"), messages.fail("an error"));
+        messages.tell("news");
+        messages.fail("an error");
+        messages.fail("an error");
         let now = Instant::now();
         assert_eq!(messages.current(now).len(), 2);
         let later = now + messages.settled_for(now).unwrap();

@@ -22,8 +22,8 @@ pub(crate) fn show(ui: &mut Ui, app: &mut App, rect: Rect, scale: f32) {
 
 /// The edges of the box around the selection.
 fn selection(painter: &Painter, app: &mut App, rect: Rect, scale: f32) {
-    let Some(bounds) = app.selected_bounds() else { return };
-    let (projection, corners) = (app.projection(), bounds.corners());
+    let Some(corners) = app.selected_corners() else { return };
+    let projection = app.projection();
     let at = |position: DVec2| rect.min + vec2(position.x as f32, position.y as f32) / scale;
     // Corners whose numbers differ in one bit share an edge.
     for (from, bit) in

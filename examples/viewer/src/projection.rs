@@ -20,6 +20,8 @@ pub(crate) struct Projection {
     world_from_view: DAffine3,
     /// Half of what is seen, at distance 1 (perspective) or anywhere.
     half_extent: DVec2,
+    /// Of the lens, in half extents.
+    shift: DVec2,
     orthographic: bool,
     size: DVec2,
 }
@@ -29,11 +31,11 @@ impl Projection {
         let size = dvec2(f64::from(view.width.max(1)), f64::from(view.height.max(1)));
         let aspect = size.x / size.y;
         let (half_width, half_height, orthographic) = match view.camera {
-            Camera::Perspective { y_fov, aspect: wanted } => {
+            Camera::Perspective { y_fov, aspect: wanted, .. } => {
                 let half_height = (f64::from(y_fov) * 0.5).tan();
                 (half_height * wanted.map_or(aspect, f64::from), half_height, false)
             }
-            Camera::Orthographic { x_mag, y_mag } => (f64::from(x_mag), f64::from(y_mag), true),
+            Camera::Orthographic { x_mag, y_mag, .. } => (f64::from(x_mag), f64::from(y_mag), true),
         };
         // The whole of the camera's field is in the picture, whatever the picture's shape.
         let half_extent = dvec2(half_width.max(half_height * aspect), half_height.max(half_width / aspect));
@@ -41,12 +43,12 @@ impl Projection {
         for axis in 0..3 {
             *world_from_view.matrix3.col_mut(axis) = world_from_view.matrix3.col(axis).normalize_or_zero();
         }
-        Self { world_from_view, half_extent, orthographic, size }
+        Self { world_from_view, half_extent, shift: view.camera.shift().as_dvec2(), orthographic, size }
     }
 
     /// What is seen at a position of the picture.
     pub(crate) fn ray(&self, position: DVec2) -> Ray {
-        let across = (position / self.size * 2.0 - 1.0) * dvec2(1.0, -1.0) * self.half_extent;
+        let across = ((position / self.size * 2.0 - 1.0) * dvec2(1.0, -1.0) + self.shift) * self.half_extent;
         let (eye, axes) = (self.world_from_view.translation, self.world_from_view.matrix3);
         let at = axes.x_axis * across.x + axes.y_axis * across.y;
         if self.orthographic {
@@ -93,20 +95,24 @@ impl Projection {
 
     fn position(&self, in_view: DVec3) -> DVec2 {
         let distance = if self.orthographic { 1.0 } else { -in_view.z };
-        let across = in_view.truncate() / (self.half_extent * distance);
+        let across = in_view.truncate() / (self.half_extent * distance) - self.shift;
         (across * dvec2(1.0, -1.0) + 1.0) * 0.5 * self.size
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use glam::vec2;
+
     use super::*;
 
-    fn views() -> [View; 3] {
+    fn views() -> [View; 4] {
         let (eye, target) = (dvec3(3.0, 2.0, 5.0), dvec3(0.5, 0.0, -1.0));
-        let wide = Camera::Perspective { y_fov: 0.8, aspect: Some(3.0) };
-        let flat = Camera::Orthographic { x_mag: 2.0, y_mag: 1.0 };
-        [Camera::default(), wide, flat].map(|camera| View::look_at(eye, target, DVec3::Y, camera, 320, 200))
+        let shift = vec2(0.3, -0.2);
+        let wide = Camera::Perspective { y_fov: 0.8, aspect: Some(3.0), shift };
+        let flat = Camera::orthographic(2.0, 1.0);
+        [Camera::default(), wide, flat, flat.shifted(shift)]
+            .map(|camera| View::look_at(eye, target, DVec3::Y, camera, 320, 200))
     }
 
     #[test]

@@ -114,7 +114,8 @@ impl TreePanel {
             painter.rect_filled(rect, 3.0, fill);
         }
         let strength = if is_visible { 1.0 } else { 0.4 };
-        let text_color = if name.is_empty() { theme::WEAK } else { theme::TEXT }.gamma_multiply(strength);
+        let text_color = if name.is_empty() && !is_selected { theme::WEAK } else { theme::TEXT };
+        let text_color = text_color.gamma_multiply(strength);
         let x = rect.left() + 14.0 + depth.min(MOST_INDENTS) as f32 * INDENT;
         let font = FontId::proportional(13.0);
         let at = |x: f32| pos2(x, rect.center().y);

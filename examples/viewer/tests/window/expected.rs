@@ -45,7 +45,9 @@ impl Expected {
 
     /// Where a point of the world is in the picture, from its upper left corner.
     pub(crate) fn position_of(&self, point: DVec3) -> [f64; 2] {
-        let Camera::Perspective { y_fov, aspect: None } = self.view.camera else { panic!("{:?}", self.view.camera) };
+        let Camera::Perspective { y_fov, aspect: None, .. } = self.view.camera else {
+            panic!("{:?}", self.view.camera)
+        };
         let [width, height] = [self.view.width, self.view.height].map(f64::from);
         let seen = self.view.world_from_view.inverse().transform_point3(point);
         let pixels = height * 0.5 / (f64::from(y_fov) * 0.5).tan() / -seen.z;
