@@ -1,8 +1,7 @@
 //! The compiler: reads what changed in a scene and brings the device arrays up to date with the smallest update.
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::BTreeSet;
 use std::ops::Range;
-use std::sync::Arc;
 use std::time::Instant;
 
 use glam::DVec3;
@@ -18,7 +17,7 @@ use super::{Needs, pack};
 use crate::Result;
 use crate::accel::Update;
 use crate::device::DeviceArrays;
-use crate::graph::{Changes, Core, Cursor, Hierarchy, NodeKey, Scene};
+use crate::graph::{Changes, Core, Cursor, Hierarchy, Scene, SceneId};
 use crate::math::{Aabb, Bounds};
 
 /// Turns one scene after another, or one scene edit by edit, into [`DeviceArrays`].
@@ -39,8 +38,8 @@ pub struct Compiler {
     /// Entries with a light core that are shown.
     lights: BTreeSet<u32>,
     view: ViewDependent,
-    /// The instances of nodes on the way to each entry that is instanced.
-    paths: HashMap<u32, Arc<[NodeKey]>>,
+    /// Who looked last, and at which scene.
+    observer: Option<(SceneId, Observer)>,
     /// Where the device's world has its origin, in the scene's world.
     origin: DVec3,
     /// The report of a compile that finds nothing changed.
@@ -73,7 +72,7 @@ impl Compiler {
             instances: InstanceTable::default(),
             lights: BTreeSet::new(),
             view: ViewDependent::default(),
-            paths: HashMap::new(),
+            observer: None,
             origin: DVec3::ZERO,
             unchanged: CompileReport::default(),
         }
@@ -88,11 +87,29 @@ impl Compiler {
     /// [`Error::Limit`](crate::Error::Limit) if an array would pass what its indices can address, or instances of instances
     /// are too many. The compiler then starts from nothing with its next scene.
     pub fn compile(&mut self, scene: &mut Scene, observer: impl Into<Observer>) -> Result<CompileReport> {
-        let result = self.try_compile(scene, &observer.into());
-        if result.is_err() {
-            *self = Self::new();
+        let observer = observer.into();
+        let result = self.try_compile(scene, &observer);
+        match result {
+            Ok(_) => self.observer = Some((scene.id(), observer)),
+            Err(_) => *self = Self::new(),
         }
         result
+    }
+
+    /// Brings the arrays up to date for the observer who looked at `scene` last; if nobody has, from its centre.
+    ///
+    /// # Errors
+    /// As [`compile`](Self::compile).
+    pub fn catch_up(&mut self, scene: &mut Scene) -> Result<CompileReport> {
+        let last = self.observer.filter(|(id, _)| *id == scene.id());
+        let observer = match last {
+            Some((_, observer)) => observer,
+            None => {
+                let center = scene.world_bounds(scene.root())?.center();
+                if center.is_finite() { center } else { DVec3::ZERO }.into()
+            }
+        };
+        self.compile(scene, observer)
     }
 
     /// The compiled scene.
@@ -110,10 +127,11 @@ impl Compiler {
         self.origin
     }
 
-    /// What stands at a place in the `instances` array; `None` where nothing does. O(1), or O(instances of nodes that it is
-    /// seen through).
-    pub fn instance(&self, slot: u32) -> Option<InstanceSource> {
-        self.instances.source(slot)
+    /// What stands at a place in the `instances` array; `None` where nothing does. `hierarchy` is that of the scene that was
+    /// compiled, unchanged since. O(depth).
+    pub fn instance(&self, slot: u32, hierarchy: &Hierarchy) -> Option<InstanceSource> {
+        let &Member { entry, geometry, material, .. } = self.instances.member(slot)?;
+        Some(InstanceSource { path: hierarchy.path(entry as usize), geometry, material })
     }
 
     fn try_compile(&mut self, scene: &mut Scene, observer: &Observer) -> Result<CompileReport> {
@@ -170,7 +188,6 @@ impl Compiler {
             self.seen = Seen { generation: hierarchy.generation(), entries: entry_count, gaps: 0 };
             self.lights.clear();
             self.view.clear();
-            self.paths.clear();
             let mut members = Vec::new();
             for entry in 0..entry_count {
                 members.extend(self.classify(scene, hierarchy, entry)?);
@@ -181,7 +198,6 @@ impl Compiler {
 
         for &gap in &hierarchy.gaps()[self.seen.gaps.min(hierarchy.gaps().len())..] {
             self.view.forget(gap);
-            self.paths.remove(&gap);
             self.lights.remove(&gap);
             if (gap as usize) < self.seen.entries {
                 self.instances.set(gap as usize, None, &mut self.arrays)?;
@@ -247,18 +263,10 @@ impl Compiler {
         Ok(match *core {
             Core::Geometry { geometry, material } if shown => {
                 let material = placed.material.unwrap_or(material);
-                let instances = self.instances_above(hierarchy, entry);
-                Some(Member { entry: entry as u32, node, instances, geometry, material })
+                Some(Member { entry: entry as u32, node, geometry, material })
             }
             _ => None,
         })
-    }
-
-    /// The instances of nodes that an entry is seen through: all entries below the same one share the list.
-    fn instances_above(&mut self, hierarchy: &Hierarchy, entry: usize) -> Option<Arc<[NodeKey]>> {
-        let top = hierarchy.instanced_at(entry)?;
-        let path = self.paths.entry(top as u32).or_insert_with(|| hierarchy.path(top).instances.into());
-        Some(Arc::clone(path))
     }
 
     fn has_lights(&self, range: &Range<usize>) -> bool {

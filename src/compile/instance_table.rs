@@ -1,7 +1,5 @@
 //! Which entry of the hierarchy is which instance: the geometry that is shown, with its device slots and world boxes.
 
-use std::sync::Arc;
-
 use glam::DVec3;
 use rayon::prelude::*;
 use slotmap::{Key, SecondaryMap};
@@ -18,26 +16,24 @@ use crate::graph::{GeometryKey, Hierarchy, MaterialKey, NodeKey, NodePath};
 use crate::math::Aabb;
 use crate::{Error, Result};
 
-/// What an instance shows, and for which node.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct InstanceSource {
-    /// The node with the geometry core, and through which instances of nodes it is seen.
-    pub path: NodePath,
-    /// Its geometry.
-    pub geometry: GeometryKey,
-    /// Its material, or that of the outermost material group above it.
-    pub material: MaterialKey,
-}
-
 /// An entry of the hierarchy that shows a geometry.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Member {
     pub(super) entry: u32,
     pub(super) node: NodeKey,
-    /// The instances of nodes that it is seen through; `None` where the node itself stands.
-    pub(super) instances: Option<Arc<[NodeKey]>>,
     pub(super) geometry: GeometryKey,
     pub(super) material: MaterialKey,
+}
+
+/// What an instance shows, and for which appearance of a node.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct InstanceSource {
+    /// The node with the geometry core.
+    pub path: NodePath,
+    /// Its geometry.
+    pub geometry: GeometryKey,
+    /// Its material: its core's, or that of a material group above it.
+    pub material: MaterialKey,
 }
 
 /// The instances, by device slot.
@@ -128,7 +124,7 @@ impl InstanceTable {
         let mut first: SecondaryMap<NodeKey, u32> = SecondaryMap::new();
         let mut next = vec![NONE; self.slots.len()];
         for slot in (0..self.slots.len()).rev() {
-            if let Some(member) = &self.slots[slot].member {
+            if let Some(member) = self.slots[slot].member {
                 next[slot] = first.insert(member.node, slot as u32).unwrap_or(NONE);
             }
         }
@@ -150,7 +146,7 @@ impl InstanceTable {
         }
         for slot in (0..kept.len()).filter(|&slot| !kept[slot]) {
             // A slot that was free before may have been taken.
-            let entry = self.slots[slot].member.as_ref().map(|member| member.entry as usize);
+            let entry = self.slots[slot].member.map(|member| member.entry as usize);
             if entry.is_some_and(|entry| self.slot_at.get(entry) != Some(&(slot as u32))) {
                 self.free(slot as u32, arrays);
             }
@@ -213,7 +209,7 @@ impl InstanceTable {
     }
 
     fn release_users(&mut self, slot: u32) {
-        if let Some(member) = &self.slots[slot as usize].member {
+        if let Some(member) = self.slots[slot as usize].member {
             self.of_geometry.remove(member.geometry, slot);
             self.of_material.remove(member.material, slot);
         }
@@ -236,8 +232,8 @@ impl InstanceTable {
     /// Writes the records of the members that must be; how many.
     pub(super) fn write(&mut self, sources: &Sources<'_>, arrays: &mut DeviceArrays) -> usize {
         let stale = std::mem::take(&mut self.stale);
-        let members = stale.par_iter().with_min_len(256).map(|&slot| self.slots[slot as usize].member.as_ref());
-        let placed: Vec<_> = members.map(|member| member.map(|member| place(member, sources))).collect();
+        let members = stale.par_iter().with_min_len(256).map(|&slot| self.slots[slot as usize].member);
+        let placed: Vec<_> = members.map(|member| member.map(|member| place(&member, sources))).collect();
         let mut written = 0;
         for (slot, placed) in stale.into_iter().zip(placed) {
             self.slots[slot as usize].is_stale = false;
@@ -282,12 +278,9 @@ impl InstanceTable {
         self.totals
     }
 
-    /// What stands at a device slot.
-    pub(super) fn source(&self, slot: u32) -> Option<InstanceSource> {
-        let member = self.slots.get(slot as usize)?.member.as_ref()?;
-        let instances = member.instances.as_deref().unwrap_or_default().to_vec();
-        let path = NodePath { instances, node: member.node };
-        Some(InstanceSource { path, geometry: member.geometry, material: member.material })
+    /// The member in a device slot.
+    pub(super) fn member(&self, slot: u32) -> Option<&Member> {
+        self.slots.get(slot as usize)?.member.as_ref()
     }
 
     /// The geometries that members have.

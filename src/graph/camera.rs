@@ -1,6 +1,7 @@
 //! Cameras: the projections of glTF, and lens shift.
 
 use glam::Vec2;
+use serde::{Deserialize, Serialize};
 
 /// A camera at its node's origin that looks along the node's -Z axis with +Y up.
 ///
@@ -20,7 +21,7 @@ use glam::Vec2;
 /// let camera = Camera::perspective(0.8).shifted(Vec2::new(0.0, 0.6));
 /// assert_eq!(camera.shift(), Vec2::new(0.0, 0.6));
 /// ```
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Camera {
     /// Objects shrink with distance.
     Perspective {

@@ -85,16 +85,16 @@ impl Scene {
     /// [`Error::StaleKey`](crate::Error::StaleKey).
     pub fn geometry_users(&self, key: GeometryKey) -> Result<impl Iterator<Item = NodeKey>> {
         self.geometry(key)?;
-        Ok(self.users_of(move |core| matches!(core, Core::Geometry { geometry, .. } if *geometry == key)))
+        Ok(self.users_of(move |core| core.geometry() == Some(key)))
     }
 
-    /// The nodes whose core names this material, in no particular order. O(cores + nodes found).
+    /// The nodes whose core names this material, material groups among them, in no particular order. O(cores + nodes found).
     ///
     /// # Errors
     /// [`Error::StaleKey`](crate::Error::StaleKey).
     pub fn material_users(&self, key: MaterialKey) -> Result<impl Iterator<Item = NodeKey>> {
         self.material(key)?;
-        Ok(self.users_of(move |core| matches!(core, Core::Geometry { material, .. } if *material == key)))
+        Ok(self.users_of(move |core| core.material() == Some(key)))
     }
 
     fn users_of(&self, uses: impl Fn(&Core) -> bool) -> impl Iterator<Item = NodeKey> {

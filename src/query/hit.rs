@@ -57,7 +57,7 @@ impl Found {
 impl Queries<'_> {
     pub(super) fn hit(&self, found: &Found) -> Option<Hit> {
         let arrays = self.compiler.arrays();
-        let source = self.compiler.instance(found.slot)?;
+        let source = self.compiler.instance(found.slot, self.hierarchy)?;
         let placement = Placement::new(found.slot, &arrays.instances[found.slot as usize]);
         let triangle = &arrays.triangles[found.triangle as usize];
         let corners = [triangle.v0, triangle.v1, triangle.v2].map(vector);

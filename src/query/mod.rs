@@ -29,13 +29,13 @@ use walk::Walk;
 
 use crate::compile::Compiler;
 use crate::device::layout::{Instance, Node, PrimitiveRange, Triangle};
-use crate::graph::{NodePath, Scene};
+use crate::graph::{Hierarchy, NodePath, Scene};
 use crate::math::{Aabb, Bounds};
 use crate::{Error, Result};
 
-/// Asks a compiled scene: a scene as it was when this was made, in world space.
+/// Asks a scene, in world space. Never stale: the scene cannot be edited meanwhile.
 ///
-/// Only what can be seen is found: visible nodes whose mask shares a bit with that of the [queries](Self::with_mask), with a
+/// Only what can be seen is found: nodes that are visible, chosen by their switches and levels of detail, whose mask shares a bit with that of the [queries](Self::with_mask), with a
 /// matrix that can be inverted. Rays see what camera rays see; the other queries see both sides of every triangle, and no holes.
 ///
 /// ```
@@ -67,31 +67,34 @@ use crate::{Error, Result};
 /// ```
 #[derive(Debug)]
 pub struct Queries<'a> {
+    scene: &'a Scene,
+    hierarchy: &'a Hierarchy,
     compiler: &'a Compiler,
     mask: u32,
     visited: AtomicU64,
 }
 
 impl<'a> Queries<'a> {
-    /// Catches up with the scene, then asks it. Costs what [`Compiler::compile`] costs: nothing where nothing changed.
+    /// Catches up with the scene, then asks it. Costs what [`Compiler::catch_up`] costs: nothing where nothing changed.
     ///
-    /// The render origin stays where it is, unless it is so far from the scene (16 times its radius) that f32 would tell; then
-    /// it goes to the scene's centre.
+    /// Levels of detail and billboards are what they are for who looked last; if nobody has, for an eye at the scene's centre.
     ///
     /// # Errors
     /// As [`Compiler::compile`].
-    pub fn of_scene(compiler: &'a mut Compiler, scene: &mut Scene) -> Result<Self> {
-        compiler.compile(scene, compiler.origin())?;
-        let bounds = Queries::new(compiler).bounds();
-        if bounds.center().distance(compiler.origin()) > 16.0 * bounds.radius() && !bounds.is_empty() {
-            compiler.compile(scene, bounds.center())?;
-        }
-        Ok(Self::new(compiler))
+    pub fn new(compiler: &'a mut Compiler, scene: &'a mut Scene) -> Result<Self> {
+        compiler.catch_up(scene)?;
+        Self::compiled(compiler, scene)
     }
 
-    /// Asks the scene that was compiled last.
-    pub fn new(compiler: &'a Compiler) -> Self {
-        Self { compiler, mask: u32::MAX, visited: AtomicU64::new(0) }
+    /// Asks a scene that has just been compiled.
+    pub(crate) fn compiled(compiler: &'a Compiler, scene: &'a mut Scene) -> Result<Self> {
+        let (scene, hierarchy) = scene.with_hierarchy()?;
+        Ok(Self { scene, hierarchy, compiler, mask: u32::MAX, visited: AtomicU64::new(0) })
+    }
+
+    /// The scene that is asked: it can be read, but not edited, while it is.
+    pub fn scene(&self) -> &'a Scene {
+        self.scene
     }
 
     /// The same queries, for nodes only whose mask shares a bit with this one, the masks above them applied. At first all.
@@ -102,7 +105,7 @@ impl<'a> Queries<'a> {
 
     /// The world box around all that can be found, a little larger for rounding. Empty where there is nothing. O(1).
     pub fn bounds(&self) -> Bounds {
-        let Some(root) = self.compiler.arrays().tlas_nodes.first().filter(|root| root.escape_index != 0) else {
+        let Some(root) = self.compiler.arrays().tlas_nodes.first().filter(|root| !root.is_unused()) else {
             return Bounds::EMPTY;
         };
         let relative = Bounds::from(Aabb { min: root.min.into(), max: root.max.into() });
@@ -150,7 +153,7 @@ impl<'a> Queries<'a> {
     /// The nodes of these slots, in the order of the slots.
     fn paths(&self, mut slots: Vec<u32>) -> Vec<NodePath> {
         slots.sort_unstable();
-        slots.into_iter().filter_map(|slot| Some(self.compiler.instance(slot)?.path)).collect()
+        slots.into_iter().filter_map(|slot| Some(self.compiler.instance(slot, self.hierarchy)?.path)).collect()
     }
 }
 

@@ -14,8 +14,8 @@ const PROBE: DVec3 = DVec3::new(0.612_372_435, 0.267_261_241, 0.744_023_809);
 /// By point: what it lies in.
 impl Queries<'_> {
     /// The nodes whose world box contains the point, boundary included. The boxes are those of the acceleration structure:
-    /// wider than the geometry by 2^-22 of their size and of their distance to the render origin. O(log instances + found) as
-    /// a rule.
+    /// wider than the geometry by 2^-22 of their size and of their distance to the render origin, and by more where a matrix
+    /// flattens. O(log instances + found) as a rule.
     ///
     /// # Errors
     /// [`Error::OutOfRange`](crate::Error::OutOfRange) for a point that is not finite.

@@ -17,8 +17,8 @@ pub(super) struct Walk<'a> {
 impl<'a> Walk<'a> {
     /// `nodes` starts with the hierarchy's first node; what lies behind its last is never read.
     pub(super) fn new(nodes: &'a [Node], total: &'a AtomicU64) -> Self {
-        // A hierarchy of nothing is absent or zero.
-        let is_empty = nodes.first().is_none_or(|node| node.escape_index == 0);
+        // A hierarchy of nothing is absent, zero or unused.
+        let is_empty = nodes.first().is_none_or(|node| node.escape_index == 0 || node.is_unused());
         Self { nodes, index: if is_empty { NONE } else { 0 }, visited: 0, total }
     }
 
@@ -28,7 +28,7 @@ impl<'a> Walk<'a> {
         while self.index != NONE {
             let node = &self.nodes[self.index as usize];
             self.visited += 1;
-            if !entered(node) {
+            if node.is_unused() || !entered(node) {
                 self.index = node.escape_index;
             } else if node.primitives == PrimitiveRange::INNER {
                 self.index += 1;
@@ -47,13 +47,12 @@ impl<'a> Walk<'a> {
             if node.primitives != PrimitiveRange::INNER {
                 return Some(node);
             }
-            let mut child = self.index + 1;
-            let mut least = f64::INFINITY;
-            self.index = child;
+            let (mut least, mut child) = (f64::INFINITY, self.index + 1);
+            self.index = NONE;
             while child != node.escape_index {
                 self.visited += 1;
                 let child_node = &self.nodes[child as usize];
-                let child_cost = cost(child_node);
+                let child_cost = if child_node.is_unused() { f64::INFINITY } else { cost(child_node) };
                 if child_cost < least {
                     (least, self.index) = (child_cost, child);
                 }

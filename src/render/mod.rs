@@ -173,17 +173,17 @@ impl Renderer {
     pub fn pick(&mut self, scene: &mut Scene, view: &View, [x, y]: [u32; 2]) -> Result<Option<Hit>> {
         view.validate()?;
         view.check_pixels(x..x.saturating_add(1), y..y.saturating_add(1))?;
-        self.compiler.compile(scene, view.world_from_view.translation)?;
+        self.compiler.compile(scene, view.observer())?;
         let ray = camera_ray(&view.params(self.compiler.origin(), 0), x, y);
-        Ok(Queries::new(&self.compiler).with_mask(view.ray_mask).closest_drawn(&ray))
+        Ok(Queries::compiled(&self.compiler, scene)?.with_mask(view.ray_mask).closest_drawn(&ray))
     }
 
     /// Questions to the scene as it is now, by ray, region or point. Catches up with it first.
     ///
     /// # Errors
-    /// As [`Queries::of_scene`].
-    pub fn queries(&mut self, scene: &mut Scene) -> Result<Queries<'_>> {
-        Queries::of_scene(&mut self.compiler, scene)
+    /// As [`Queries::new`].
+    pub fn queries<'a>(&'a mut self, scene: &'a mut Scene) -> Result<Queries<'a>> {
+        Queries::new(&mut self.compiler, scene)
     }
 }
 

@@ -120,15 +120,6 @@ impl View {
         require(up.try_normalize().is_some(), "sky up", &up, "finite and not zero")
     }
 
-    /// Who looks, for levels of detail and billboards.
-    pub fn observer(&self) -> Observer {
-        let (_, half_height, orthographic) = self.half_extent();
-        let height = 2.0 * f64::from(half_height);
-        let height = if orthographic == 0 { ImageHeight::TimesDistance(height) } else { ImageHeight::Fixed(height) };
-        let up = self.world_from_view.matrix3.y_axis.normalize_or(DVec3::Y);
-        Observer { eye: self.world_from_view.translation, up, height }
-    }
-
     /// What can be seen of the world: from the camera on, within the image's edges. For
     /// [`Queries::overlapping`](crate::Queries::overlapping).
     ///
@@ -176,6 +167,15 @@ impl View {
         }
         let value = format!("columns {columns:?}, rows {rows:?} of {} x {}", self.width, self.height);
         Err(Error::OutOfRange { what: "pixel", value, expected: "inside the image" })
+    }
+
+    /// Who looks, for levels of detail and billboards.
+    pub fn observer(&self) -> Observer {
+        let (_, half_height, orthographic) = self.half_extent();
+        let height = 2.0 * f64::from(half_height);
+        let height = if orthographic == 0 { ImageHeight::TimesDistance(height) } else { ImageHeight::Fixed(height) };
+        let up = self.world_from_view.matrix3.y_axis.normalize_or(DVec3::Y);
+        Observer { eye: self.world_from_view.translation, up, height }
     }
 
     /// The uniform data of this view, with positions relative to `origin`.

@@ -8,7 +8,7 @@ use ropewalk::{Bounds, Camera, Core, Geometry, Material, Queries, Ray, Region, S
 use crate::kernel_support::{Mesh, Random};
 
 /// A field of balls, `side` by `side` by `side`, of radius 1 and 4 apart.
-fn field(side: i32, subdivisions: u32) -> (Scene, Compiler) {
+fn field(side: i32, subdivisions: u32) -> Scene {
     let mut scene = Scene::new();
     let mesh = Mesh::displaced_icosphere(subdivisions);
     let geometry = scene.add_geometry(Geometry::new(mesh.positions, mesh.indices)).unwrap();
@@ -19,9 +19,7 @@ fn field(side: i32, subdivisions: u32) -> (Scene, Compiler) {
         let place = scene.add(scene.root(), Transform::from_translation(at * 4.0)).unwrap();
         scene.add(place, core).unwrap();
     }
-    let mut compiler = Compiler::new();
-    Queries::of_scene(&mut compiler, &mut scene).unwrap();
-    (scene, compiler)
+    scene
 }
 
 /// Nodes that 200 queries of one kind visit, on average each.
@@ -35,8 +33,9 @@ fn cost(queries: &Queries<'_>, mut query: impl FnMut(&Queries<'_>, &mut Random))
 }
 
 /// The average cost of each kind of query.
-fn costs(compiler: &Compiler) -> Vec<(&'static str, u64)> {
-    let queries = Queries::new(compiler);
+fn costs(scene: &mut Scene) -> Vec<(&'static str, u64)> {
+    let mut compiler = Compiler::new();
+    let queries = Queries::new(&mut compiler, scene).unwrap();
     let bounds = queries.bounds();
     let point = |random: &mut Random| bounds.center() + random.in_cube().as_dvec3() * (bounds.max - bounds.min) * 0.5;
     let ray = |random: &mut Random| Ray::new(point(random), random.direction().as_dvec3());
@@ -70,10 +69,10 @@ fn costs(compiler: &Compiler) -> Vec<(&'static str, u64)> {
 
 #[test]
 fn queries_visit_few_nodes_of_many_triangles() {
-    let (scene, compiler) = field(8, 5);
+    let mut scene = field(8, 5);
     let triangles = scene.instanced_triangle_count();
     assert_eq!(triangles, 512 * 20_480);
-    for (what, visited) in costs(&compiler) {
+    for (what, visited) in costs(&mut scene) {
         println!("{what}: {visited} nodes visited of {triangles} triangles");
         assert!(visited > 0 && visited < triangles / 10_000, "{what} visits {visited} nodes");
     }
@@ -81,8 +80,8 @@ fn queries_visit_few_nodes_of_many_triangles() {
 
 #[test]
 fn cost_grows_far_slower_than_the_scene() {
-    let [(_, small), (_, large)] = [field(4, 3), field(8, 5)];
-    for ((what, few), (_, many)) in costs(&small).into_iter().zip(costs(&large)) {
+    let [mut small, mut large] = [field(4, 3), field(8, 5)];
+    for ((what, few), (_, many)) in costs(&mut small).into_iter().zip(costs(&mut large)) {
         // 128 times the triangles.
         assert!(many < few * 8, "{what}: {few} nodes, then {many}");
     }

@@ -15,7 +15,7 @@ fn is_out_of_range<T>(result: Result<T>, expected: &str) -> bool {
 fn impossible_questions_are_typed_errors() {
     let mut scene = Scene::new();
     let mut compiler = Compiler::new();
-    let queries = Queries::of_scene(&mut compiler, &mut scene).unwrap();
+    let queries = Queries::new(&mut compiler, &mut scene).unwrap();
     let (nan, infinite) = (DVec3::new(0.0, f64::NAN, 0.0), DVec3::new(0.0, f64::INFINITY, 0.0));
     for bad in [nan, infinite] {
         assert!(is_out_of_range(queries.closest(&Ray::new(bad, DVec3::X)), "ray origin"));
@@ -58,7 +58,7 @@ fn pixels_outside_the_image_are_typed_errors() {
 fn nothing_is_found_where_nothing_is() {
     let mut scene = Scene::new();
     let mut compiler = Compiler::new();
-    let queries = Queries::of_scene(&mut compiler, &mut scene).unwrap();
+    let queries = Queries::new(&mut compiler, &mut scene).unwrap();
     assert!(queries.bounds().is_empty());
     assert!(queries.closest(&Ray::new(DVec3::ZERO, DVec3::X)).unwrap().is_none());
     assert!(queries.nearest(DVec3::ZERO, f64::INFINITY).unwrap().is_none());

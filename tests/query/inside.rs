@@ -4,25 +4,27 @@ use std::cell::Cell;
 
 use glam::DVec3;
 use proptest::prelude::*;
-use ropewalk::{Bounds, Queries};
+use ropewalk::compile::Compiler;
+use ropewalk::{Bounds, Core, Geometry, Material, Queries, Scene};
 
 use crate::kernel_support::Mesh;
-use crate::scenes::{World, check, drawn};
+use crate::scenes::{World, check, compiled, drawn};
 
 #[test]
 fn boxes_contain_what_is_in_them() {
     let [around, away] = [Cell::new(0), Cell::new(0)];
     check(300, |seed| {
-        let mut world = World::new(seed);
-        let compiler = world.compiled();
-        let (origin, queries) = (compiler.origin(), Queries::new(&compiler).with_mask(1));
-        let drawn = drawn(&world.scene, origin, 1);
+        let World { mut scene, mut dice } = World::new(seed);
+        let mask = dice.mask();
+        let (mut compiler, origin) = compiled(&mut scene);
+        let drawn = drawn(&mut scene, origin, mask);
+        let queries = Queries::new(&mut compiler, &mut scene).unwrap().with_mask(mask);
         for _ in 0..20 {
-            let point = world.point();
+            let point = dice.point();
             let found = queries.containing(point).unwrap();
-            prop_assert!(found.iter().all(|path| drawn.iter().any(|drawn| drawn.node == path.node)));
+            prop_assert!(found.iter().all(|path| drawn.iter().any(|drawn| drawn.path == *path)));
             for drawn in drawn.iter().filter(|drawn| !drawn.triangles.is_empty()) {
-                let is_found = found.iter().any(|path| path.node == drawn.node);
+                let is_found = found.contains(&drawn.path);
                 // Between the box around the triangles, and the box around their box, rounded up.
                 let corners: Vec<DVec3> = (0..drawn.triangles.len()).flat_map(|i| drawn.world_triangle(i)).collect();
                 let tight = bounds(&corners);
@@ -58,12 +60,13 @@ fn solids_enclose_what_is_in_them() {
     let [inside, outside] = [Cell::new(0), Cell::new(0)];
     check(300, |seed| {
         let mesh = if seed.seed % 2 == 0 { Mesh::icosphere(1) } else { Mesh::cube() };
-        let mut world = World::of_one(seed, mesh);
-        let compiler = world.compiled();
-        let (origin, queries) = (compiler.origin(), Queries::new(&compiler));
-        for drawn in &drawn(&world.scene, origin, u32::MAX) {
+        let World { mut scene, mut dice } = World::of_one(seed, mesh);
+        let (mut compiler, origin) = compiled(&mut scene);
+        let drawn = drawn(&mut scene, origin, u32::MAX);
+        let queries = Queries::new(&mut compiler, &mut scene).unwrap();
+        for drawn in &drawn {
             for _ in 0..40 {
-                let local = world.random.in_cube().as_dvec3() * 1.2;
+                let local = dice.random.in_cube().as_dvec3() * 1.2;
                 let point = drawn.world_from_local.transform_point3(local) + origin;
                 let local = drawn.local_from_world.transform_point3(point - origin);
                 let heights =
@@ -86,16 +89,13 @@ fn solids_enclose_what_is_in_them() {
 /// Points in a lattice, so that the way out runs through edges and corners, if any way does.
 #[test]
 fn a_lattice_of_points_is_told_apart() {
-    let mut world = World::of_one(
-        crate::scenes::Seed { seed: 0, instances: 0, unit: 1.0, offset: 0.0 },
-        Mesh { positions: Vec::new(), indices: Vec::new() },
-    );
+    let mut scene = Scene::new();
     let cube = Mesh::cube();
-    let geometry = world.scene.add_geometry(ropewalk::Geometry::new(cube.positions, cube.indices)).unwrap();
-    let material = world.scene.add_material(ropewalk::Material::default()).unwrap();
-    world.scene.add(world.scene.root(), ropewalk::Core::Geometry { geometry, material }).unwrap();
-    let compiler = world.compiled();
-    let queries = Queries::new(&compiler);
+    let geometry = scene.add_geometry(Geometry::new(cube.positions, cube.indices)).unwrap();
+    let material = scene.add_material(Material::default()).unwrap();
+    scene.add(scene.root(), Core::Geometry { geometry, material }).unwrap();
+    let mut compiler = Compiler::new();
+    let queries = Queries::new(&mut compiler, &mut scene).unwrap();
     for i in 0..9 * 9 * 9 {
         let point = DVec3::new(f64::from(i % 9), f64::from(i / 9 % 9), f64::from(i / 81)) / 4.0 - 1.125;
         let is_inside = point.abs().max_element() < 1.0;

@@ -6,7 +6,7 @@ use glam::DVec3;
 use proptest::prelude::*;
 use ropewalk::Queries;
 
-use crate::scenes::{World, check, drawn};
+use crate::scenes::{World, check, compiled, drawn};
 
 /// How far a triangle is (C. Ericson, *Real-Time Collision Detection*, 5.1.5).
 pub fn distance([a, b, c]: [DVec3; 3], point: DVec3) -> f64 {
@@ -36,13 +36,13 @@ pub fn distance([a, b, c]: [DVec3; 3], point: DVec3) -> f64 {
 fn nearest_points_agree_with_brute_force() {
     let found = Cell::new(0);
     check(400, |seed| {
-        let mut world = World::new(seed);
-        let mask = 1 << world.random.index(3) | 1;
-        let compiler = world.compiled();
-        let (origin, queries) = (compiler.origin(), Queries::new(&compiler).with_mask(mask));
-        let drawn = drawn(&world.scene, origin, mask);
+        let World { mut scene, mut dice } = World::new(seed);
+        let mask = dice.mask();
+        let (mut compiler, origin) = compiled(&mut scene);
+        let drawn = drawn(&mut scene, origin, mask);
+        let queries = Queries::new(&mut compiler, &mut scene).unwrap().with_mask(mask);
         for _ in 0..20 {
-            let point = world.point();
+            let point = dice.point();
             let all = drawn.iter().flat_map(|drawn| (0..drawn.triangles.len()).map(|i| drawn.world_triangle(i)));
             let least = all.map(|triangle| distance(triangle, point - origin)).fold(f64::INFINITY, f64::min);
             let Some(hit) = queries.nearest(point, f64::INFINITY).unwrap() else {
@@ -53,7 +53,7 @@ fn nearest_points_agree_with_brute_force() {
             let band = 1e-12 * (seed.unit * 10.0 + (point - origin).length() + point.length());
             prop_assert!((hit.distance - least).abs() <= band, "{} is not {least}", hit.distance);
             prop_assert!((hit.position.distance(point) - least).abs() <= band, "{} is not there", hit.position);
-            let own = drawn.iter().find(|drawn| drawn.node == hit.path.node).unwrap();
+            let own = drawn.iter().find(|drawn| drawn.path == hit.path).unwrap();
             let index = own.triangles.iter().position(|(i, _)| *i == hit.triangle).unwrap();
             let [a, b, c] = own.world_triangle(index);
             prop_assert!((distance([a, b, c], point - origin) - least).abs() <= band);

@@ -2,14 +2,14 @@
 
 use glam::DVec3;
 use ropewalk::graph::AlphaMode;
-use ropewalk::{NodeKey, Ray, Scene};
+use ropewalk::{NodePath, Ray};
 
 use crate::scenes::Drawn;
 
 /// A triangle that a ray meets, or may meet.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Candidate {
-    pub node: NodeKey,
+    pub path: NodePath,
     pub triangle: u32,
     pub t: f64,
     pub t_error: f64,
@@ -18,10 +18,10 @@ pub struct Candidate {
 }
 
 /// All that the ray meets or may meet, as a camera ray would.
-pub fn candidates(scene: &Scene, drawn: &[Drawn], origin: DVec3, ray: &Ray) -> Vec<Candidate> {
+pub fn candidates(drawn: &[Drawn], origin: DVec3, ray: &Ray) -> Vec<Candidate> {
     let mut found = Vec::new();
     for drawn in drawn {
-        let material = scene.material(drawn.material).unwrap();
+        let material = &drawn.surface;
         let is_hole = matches!(material.alpha_mode, AlphaMode::Mask { cutoff } if material.base_color.w < cutoff);
         if is_hole {
             continue;
@@ -39,7 +39,7 @@ pub fn candidates(scene: &Scene, drawn: &[Drawn], origin: DVec3, ray: &Ray) -> V
                 continue;
             }
             let is_sure = is_inside && t - t_error >= ray.t_min && t + t_error <= ray.t_max;
-            found.push(Candidate { node: drawn.node, triangle, t, t_error, is_sure });
+            found.push(Candidate { path: drawn.path.clone(), triangle, t, t_error, is_sure });
         }
     }
     found

@@ -5,7 +5,10 @@ use std::collections::BTreeSet;
 use glam::{DQuat, DVec3, Vec2, Vec3, Vec4};
 use ropewalk::graph::AlphaMode;
 use ropewalk::query::Overlap;
-use ropewalk::{Camera, Core, DeviceChoice, Geometry, Material, Renderer, RendererOptions, Scene, Transform, View};
+use ropewalk::{
+    Camera, Core, DeviceChoice, Geometry, Material, NodeKey, Queries, Ray, Region, Renderer, RendererOptions, Scene,
+    Transform, View,
+};
 
 use crate::kernel_support::{Mesh, Random};
 
@@ -150,6 +153,20 @@ fn a_rubber_band_selects_what_is_seen_through_it() {
     }
 }
 
+/// A place, its node and the node of the cube there.
+type Cube = (DVec3, NodeKey, NodeKey);
+
+fn check_cubes(queries: &Queries<'_>, cubes: &[Cube]) {
+    for (at, _, node) in cubes {
+        assert_eq!(queries.nearest(*at, f64::INFINITY).unwrap().unwrap().path.node, *node);
+    }
+    let everywhere = Region::new([]).unwrap();
+    assert_eq!(queries.overlapping(&everywhere, Overlap::Touching).len(), cubes.len());
+    let along = Ray { t_min: f64::NEG_INFINITY, ..Ray::new(DVec3::new(0.0, 0.1, 0.2), DVec3::X) };
+    assert_eq!(queries.all(&along).unwrap().len(), 2 * cubes.len());
+    assert_eq!(queries.bounds().is_empty(), cubes.is_empty());
+}
+
 #[test]
 fn a_slot_names_the_node_that_has_it_after_edits() {
     let mut scene = Scene::new();
@@ -159,7 +176,7 @@ fn a_slot_names_the_node_that_has_it_after_edits() {
     let material = scene.add_material(Material::diffuse(Vec3::ONE)).unwrap();
     let core = scene.add_core(Core::Geometry { geometry, material }).unwrap();
     let mut random = Random(2);
-    let mut cubes = Vec::new();
+    let mut cubes: Vec<Cube> = Vec::new();
     for step in 0..60 {
         if step % 3 == 2 {
             let (_, place, _) = cubes.swap_remove(random.index(cubes.len()));
@@ -169,9 +186,11 @@ fn a_slot_names_the_node_that_has_it_after_edits() {
             let place = scene.add(scene.root(), Transform::from_translation(at)).unwrap();
             cubes.push((at, place, scene.add(place, core).unwrap()));
         }
-        let queries = renderer.queries(&mut scene).unwrap();
-        for (at, _, node) in &cubes {
-            assert_eq!(queries.nearest(*at, f64::INFINITY).unwrap().unwrap().path.node, *node);
-        }
+        check_cubes(&renderer.queries(&mut scene).unwrap(), &cubes);
+    }
+    // Down to the last one, through leaves that stay behind unused.
+    while let Some((_, place, _)) = cubes.pop() {
+        scene.remove(place).unwrap();
+        check_cubes(&renderer.queries(&mut scene).unwrap(), &cubes);
     }
 }

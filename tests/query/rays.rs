@@ -6,35 +6,34 @@ use glam::{DVec3, Vec3, Vec4};
 use proptest::prelude::*;
 use ropewalk::compile::Compiler;
 use ropewalk::graph::AlphaMode;
-use ropewalk::{Core, Geometry, Hit, Material, Queries, Ray, Scene};
+use ropewalk::{Core, Geometry, Hit, Material, NodePath, Queries, Ray, Scene};
 
 use crate::kernel_support::Mesh;
 use crate::oracle::{Candidate, candidates};
-use crate::scenes::{Drawn, World, check, drawn};
+use crate::scenes::{Dice, Drawn, World, check, compiled, drawn};
 
 /// From somewhere to a point of some triangle, or just anywhere; directions of all lengths.
-fn ray(world: &mut World, drawn: &[Drawn], origin: DVec3) -> Ray {
-    let from = world.point();
-    let mut to = world.point();
+fn ray(dice: &mut Dice, drawn: &[Drawn], origin: DVec3) -> Ray {
+    let from = dice.point();
+    let mut to = dice.point();
     let targets: Vec<&Drawn> = drawn.iter().filter(|d| !d.triangles.is_empty()).collect();
-    if !targets.is_empty() && world.random.index(5) > 0 {
-        let target = targets[world.random.index(targets.len())];
-        let [a, b, c] = target.world_triangle(world.random.index(target.triangles.len()));
-        let weights = [0, 1].map(|_| f64::from(world.random.unsigned()));
+    if !targets.is_empty() && dice.random.index(5) > 0 {
+        let target = targets[dice.random.index(targets.len())];
+        let [a, b, c] = target.world_triangle(dice.random.index(target.triangles.len()));
+        let weights = [0, 1].map(|_| f64::from(dice.random.unsigned()));
         to = origin + a.lerp(b, weights[0]).lerp(c, weights[1]);
     }
-    let direction = (to - from) * 10f64.powi(world.random.index(9) as i32 - 4);
+    let direction = (to - from) * 10f64.powi(dice.random.index(9) as i32 - 4);
     let mut ray = Ray::new(from, direction);
-    if world.random.index(4) == 0 {
+    if dice.random.index(4) == 0 {
         let end = (to - from).length() / direction.length();
-        (ray.t_min, ray.t_max) =
-            (end * f64::from(world.random.signed()), end * f64::from(world.random.unsigned()) * 2.0);
+        (ray.t_min, ray.t_max) = (end * f64::from(dice.random.signed()), end * f64::from(dice.random.unsigned()) * 2.0);
     }
     ray
 }
 
 fn is_of(hit: &Hit, candidate: &Candidate) -> bool {
-    (candidate.node, candidate.triangle) == (hit.path.node, hit.triangle)
+    (&candidate.path, candidate.triangle) == (&hit.path, hit.triangle)
 }
 
 /// What is wrong with a hit, whichever hit it is.
@@ -45,7 +44,7 @@ fn check_hit(hit: &Hit, ray: &Ray, drawn: &[Drawn], truth: &[Candidate], origin:
     prop_assert!((own.t - hit.distance).abs() <= own.t_error, "{hit:?} is at {} within {}", own.t, own.t_error);
     prop_assert!(hit.distance >= ray.t_min && hit.distance <= ray.t_max);
 
-    let of = drawn.iter().find(|drawn| drawn.node == hit.path.node).unwrap();
+    let of = drawn.iter().find(|drawn| drawn.path == hit.path).unwrap();
     prop_assert_eq!((hit.geometry, hit.material), (of.geometry, of.material));
     let index = of.triangles.iter().position(|(i, _)| *i == hit.triangle).unwrap();
     let [a, b, c] = of.world_triangle(index);
@@ -75,14 +74,14 @@ fn check_hit(hit: &Hit, ray: &Ray, drawn: &[Drawn], truth: &[Candidate], origin:
 fn rays_agree_with_brute_force() {
     let (hits, ties) = (Cell::new(0), Cell::new(0));
     check(400, |seed| {
-        let mut world = World::new(seed);
-        let mask = 1 << world.random.index(3) | 1;
-        let compiler = world.compiled();
-        let (origin, queries) = (compiler.origin(), Queries::new(&compiler).with_mask(mask));
-        let drawn = drawn(&world.scene, origin, mask);
+        let World { mut scene, mut dice } = World::new(seed);
+        let mask = dice.mask();
+        let (mut compiler, origin) = compiled(&mut scene);
+        let drawn = drawn(&mut scene, origin, mask);
+        let queries = Queries::new(&mut compiler, &mut scene).unwrap().with_mask(mask);
         for _ in 0..40 {
-            let ray = ray(&mut world, &drawn, origin);
-            let truth = candidates(&world.scene, &drawn, origin, &ray);
+            let ray = ray(&mut dice, &drawn, origin);
+            let truth = candidates(&drawn, origin, &ray);
             let all = queries.all(&ray).unwrap();
             for hit in &all {
                 check_hit(hit, &ray, &drawn, &truth, origin)?;
@@ -96,12 +95,14 @@ fn rays_agree_with_brute_force() {
             prop_assert_eq!(closest.as_ref(), all.first());
             prop_assert_eq!(queries.any(&ray).unwrap(), closest.is_some());
             hits.set(hits.get() + all.len());
-            ties.set(ties.get() + truth.iter().filter(|candidate| !candidate.is_sure).count());
+            // What rounds to almost flat has nothing but ties.
+            let flat = |path: &NodePath| drawn.iter().any(|drawn| drawn.path == *path && drawn.condition() > 1e7);
+            ties.set(ties.get() + truth.iter().filter(|tie| !tie.is_sure && !flat(&tie.path)).count());
         }
         Ok(())
     });
     println!("{} hits, {} ties", hits.get(), ties.get());
-    assert!(hits.get() > 5_000 && ties.get() * 20 < hits.get(), "{} hits, {} ties", hits.get(), ties.get());
+    assert!(hits.get() > 5_000 && ties.get() * 8 < hits.get(), "{} hits, {} ties", hits.get(), ties.get());
 }
 
 /// However it runs through edges and corners, a ray from outside enters a convex surface as often as it leaves.
@@ -109,14 +110,15 @@ fn rays_agree_with_brute_force() {
 fn a_convex_surface_is_crossed_twice_or_not_at_all() {
     let [missed, crossed] = [Cell::new(0), Cell::new(0)];
     check(60, |seed| {
-        let mut world = World::of_one(seed, Mesh::icosphere(1));
-        let compiler = world.compiled();
-        let (origin, queries) = (compiler.origin(), Queries::new(&compiler));
-        for drawn in &drawn(&world.scene, origin, u32::MAX) {
+        let World { mut scene, mut dice } = World::of_one(seed, Mesh::icosphere(1));
+        let (mut compiler, origin) = compiled(&mut scene);
+        let drawn = drawn(&mut scene, origin, u32::MAX);
+        let queries = Queries::new(&mut compiler, &mut scene).unwrap();
+        for drawn in &drawn {
             for i in 0..drawn.triangles.len() {
                 let [a, b, c] = drawn.world_triangle(i).map(|corner| corner + origin);
                 for target in [a, (a + b) * 0.5, (a + b + c) / 3.0] {
-                    let from = world.center + world.random.direction().as_dvec3() * 100.0 * seed.unit;
+                    let from = dice.center + dice.random.direction().as_dvec3() * 100.0 * seed.unit;
                     let all = queries.all(&Ray::new(from, target - from)).unwrap();
                     match &*all {
                         [] => missed.set(missed.get() + 1),
@@ -150,7 +152,7 @@ fn holes_and_back_faces_are_passed_by_as_a_camera_does() {
     let material = Material { alpha_mode: AlphaMode::Mask { cutoff: 0.5 }, double_sided: false, ..Material::default() };
     square(&mut scene, Geometry { colors: Some(alpha.into()), ..square_geometry() }, material);
     let mut compiler = Compiler::new();
-    let queries = Queries::of_scene(&mut compiler, &mut scene).unwrap();
+    let queries = Queries::new(&mut compiler, &mut scene).unwrap();
     for (x, z, expected) in [(0.3, 1.0, 0), (0.7, 1.0, 1), (0.3, -1.0, 0), (0.7, -1.0, 0)] {
         let ray = Ray::new(DVec3::new(x, 0.4, z), DVec3::Z * -z);
         assert_eq!(queries.all(&ray).unwrap().len(), expected, "{x}, {z}");
@@ -166,7 +168,7 @@ fn shading_normals_lie_between_those_of_the_vertices() {
     let normals = [-0.5, 0.5, 0.5, -0.5].map(|x| Vec3::new(x, 0.0, 1.0).normalize());
     square(&mut scene, Geometry { normals: Some(normals.into()), ..square_geometry() }, Material::default());
     let mut compiler = Compiler::new();
-    let queries = Queries::of_scene(&mut compiler, &mut scene).unwrap();
+    let queries = Queries::new(&mut compiler, &mut scene).unwrap();
     for x in [0.1, 0.5, 0.8] {
         for z in [1.0, -1.0] {
             let hit = queries.closest(&Ray::new(DVec3::new(x, 0.3, z), DVec3::Z * -z)).unwrap().unwrap();
@@ -185,8 +187,8 @@ fn equal_distances_are_ordered() {
         square(&mut scene, square_geometry(), Material::default());
     }
     let mut compiler = Compiler::new();
-    let queries = Queries::of_scene(&mut compiler, &mut scene).unwrap();
-    let nodes: Vec<_> = scene.children(scene.root()).unwrap().collect();
+    let queries = Queries::new(&mut compiler, &mut scene).unwrap();
+    let nodes: Vec<_> = queries.scene().children(queries.scene().root()).unwrap().collect();
     // Along the diagonal, which both triangles of a square share.
     let all = queries.all(&Ray::new(DVec3::new(0.5, 0.5, 1.0), DVec3::NEG_Z)).unwrap();
     assert_eq!(all.iter().map(|hit| hit.path.node).collect::<Vec<_>>(), nodes);

@@ -1,15 +1,15 @@
 //! By region: boxes and frustums, against separating axes.
 
 use std::cell::Cell;
-use std::collections::BTreeSet;
+use std::collections::HashSet;
 
 use glam::{DVec3, Vec2};
 use proptest::prelude::*;
 use ropewalk::query::{HalfSpace, Overlap};
-use ropewalk::{Bounds, Camera, NodeKey, NodePath, Queries, Region, View};
+use ropewalk::{Bounds, Camera, NodePath, Queries, Region, View};
 
 use crate::kernel_support::Random;
-use crate::scenes::{World, check, drawn};
+use crate::scenes::{Dice, Seed, World, check, compiled, drawn};
 
 /// A convex body with its corners, the directions of its edges and the normals of its faces. Relative to the render origin.
 struct Body {
@@ -57,22 +57,23 @@ impl Body {
     }
 }
 
-fn nodes(paths: &[NodePath]) -> BTreeSet<NodeKey> {
-    let nodes: BTreeSet<NodeKey> = paths.iter().map(|path| path.node).collect();
-    assert_eq!(nodes.len(), paths.len());
-    assert!(paths.iter().all(|path| path.instances.is_empty()));
-    nodes
+/// As a set; each must be there once.
+fn set(paths: Vec<NodePath>) -> HashSet<NodePath> {
+    let count = paths.len();
+    let set: HashSet<NodePath> = paths.into_iter().collect();
+    assert_eq!(set.len(), count);
+    set
 }
 
 /// A box, or a view and some of its pixels; the region, and the body that it should be.
-fn region(world: &mut World, origin: DVec3) -> (Region, Body) {
-    let (a, b) = (world.point(), world.point());
-    if world.random.index(2) == 0 {
+fn region(dice: &mut Dice, origin: DVec3) -> (Region, Body) {
+    let (a, b) = (dice.point(), dice.point());
+    if dice.random.index(2) == 0 {
         let bounds = Bounds { min: a.min(b), max: a.max(b) };
         return (Region::new_box(&bounds).unwrap(), Body::new_box(&bounds, origin));
     }
-    let random = &mut world.random;
-    let unit = world.unit;
+    let random = &mut dice.random;
+    let unit = dice.unit;
     let shift = Vec2::new(random.signed(), random.signed());
     let camera = match random.index(2) {
         0 => Camera::perspective(0.3 + random.unsigned()),
@@ -119,17 +120,17 @@ fn regions_agree_with_separating_axes() {
     let [touching, inside, apart, ties] = [0; 4].map(Cell::new);
     let add = |cell: &Cell<usize>| cell.set(cell.get() + 1);
     check(300, |seed| {
-        let mut world = World::new(seed);
-        let mask = 1 << world.random.index(3) | 1;
-        let compiler = world.compiled();
-        let (origin, queries) = (compiler.origin(), Queries::new(&compiler).with_mask(mask));
-        let drawn = drawn(&world.scene, origin, mask);
+        let World { mut scene, mut dice } = World::new(seed);
+        let mask = dice.mask();
+        let (mut compiler, origin) = compiled(&mut scene);
+        let drawn = drawn(&mut scene, origin, mask);
+        let queries = Queries::new(&mut compiler, &mut scene).unwrap().with_mask(mask);
         for _ in 0..20 {
-            let (region, body) = region(&mut world, origin);
-            let found = nodes(&queries.overlapping(&region, Overlap::Touching));
-            let found_inside = nodes(&queries.overlapping(&region, Overlap::Inside));
+            let (region, body) = region(&mut dice, origin);
+            let found = set(queries.overlapping(&region, Overlap::Touching));
+            let found_inside = set(queries.overlapping(&region, Overlap::Inside));
             prop_assert!(found_inside.is_subset(&found));
-            prop_assert!(found.iter().all(|node| drawn.iter().any(|drawn| drawn.node == *node)));
+            prop_assert!(found.iter().all(|path| drawn.iter().any(|drawn| drawn.path == *path)));
             let band = 1e-9 * (1e3 * seed.unit + origin.length());
             for drawn in drawn.iter().filter(|drawn| !drawn.triangles.is_empty()) {
                 let triangles: Vec<[DVec3; 3]> = (0..drawn.triangles.len()).map(|i| drawn.world_triangle(i)).collect();
@@ -142,8 +143,8 @@ fn regions_agree_with_separating_axes() {
                     add(&ties);
                     continue;
                 }
-                prop_assert_eq!(found.contains(&drawn.node), least < 0.0, "{:?} is apart by {}", drawn.node, least);
-                prop_assert_eq!(found_inside.contains(&drawn.node), out < 0.0, "{:?} is out by {}", drawn.node, out);
+                prop_assert_eq!(found.contains(&drawn.path), least < 0.0, "{:?} is apart by {}", drawn.path, least);
+                prop_assert_eq!(found_inside.contains(&drawn.path), out < 0.0, "{:?} is out by {}", drawn.path, out);
                 add(if least > 0.0 { &apart } else { &touching });
                 if out < 0.0 {
                     add(&inside);
@@ -166,26 +167,26 @@ fn outside(region: &Region, point: DVec3) -> f64 {
 /// Many planes around a ball: a region of any shape.
 #[test]
 fn any_planes_make_a_region() {
-    let mut world = World::new(crate::scenes::Seed { seed: 5, instances: 12, unit: 1.0, offset: 0.0 });
-    let compiler = world.compiled();
-    let queries = Queries::new(&compiler);
-    let drawn = drawn(&world.scene, compiler.origin(), u32::MAX);
+    let World { mut scene, mut dice } = World::new(Seed { seed: 5, instances: 12, unit: 1.0, offset: 0.0 });
+    let (mut compiler, origin) = compiled(&mut scene);
+    let drawn = drawn(&mut scene, origin, u32::MAX);
+    let queries = Queries::new(&mut compiler, &mut scene).unwrap();
     let mut found = 0;
     for _ in 0..50 {
-        let (center, radius) = (world.point(), f64::from(world.random.unsigned()) * 2.0);
+        let (center, radius) = (dice.point(), f64::from(dice.random.unsigned()) * 2.0);
         let planes: Vec<HalfSpace> = (0..200)
-            .map(|_| world.random.direction().as_dvec3())
+            .map(|_| dice.random.direction().as_dvec3())
             .map(|normal| HalfSpace::through(center + normal * radius, normal))
             .collect();
         let region = Region::new(planes).unwrap();
-        let touching = nodes(&queries.overlapping(&region, Overlap::Touching));
+        let touching = set(queries.overlapping(&region, Overlap::Touching));
         for drawn in &drawn {
-            let distances = (0..drawn.triangles.len())
-                .map(|i| crate::nearest::distance(drawn.world_triangle(i), center - compiler.origin()));
+            let distances =
+                (0..drawn.triangles.len()).map(|i| crate::nearest::distance(drawn.world_triangle(i), center - origin));
             let distance = distances.fold(f64::INFINITY, f64::min);
             // The planes are tangents of the ball: they reach a little beyond it.
-            assert!(distance > radius || touching.contains(&drawn.node));
-            assert!(distance < radius * 1.5 || !touching.contains(&drawn.node));
+            assert!(distance > radius || touching.contains(&drawn.path));
+            assert!(distance < radius * 1.5 || !touching.contains(&drawn.path));
         }
         found += touching.len();
     }

@@ -5,7 +5,7 @@ use proptest::prelude::*;
 use proptest::test_runner::TestRunner;
 use ropewalk::compile::Compiler;
 use ropewalk::graph::AlphaMode;
-use ropewalk::{Core, Geometry, GeometryKey, Material, MaterialKey, NodeKey, Queries, Scene, Transform};
+use ropewalk::{Core, Geometry, GeometryKey, Hierarchy, Material, MaterialKey, NodePath, Scene, Transform};
 
 use crate::kernel_support::{Mesh, Random};
 
@@ -37,9 +37,14 @@ fn seed() -> impl Strategy<Value = Seed> {
     })
 }
 
-/// A scene, and the random numbers to go on with.
+/// A scene, and what to ask it with.
 pub struct World {
     pub scene: Scene,
+    pub dice: Dice,
+}
+
+/// Random numbers to go on with.
+pub struct Dice {
     pub random: Random,
     pub center: DVec3,
     pub unit: f64,
@@ -67,22 +72,28 @@ impl World {
             Material { alpha_mode: AlphaMode::Blend, base_color: glass, ..Material::default() },
         ];
         let materials = materials.map(|material| scene.add_material(material).unwrap());
+        let mut places = vec![scene.add(scene.root(), Transform::IDENTITY).unwrap()];
         for _ in 0..seed.instances {
-            let place = scene.add(scene.root(), transform(&mut random, center, seed.unit)).unwrap();
-            let inner = scene.add(place, transform(&mut random, DVec3::ZERO, 1.0)).unwrap();
+            let place = scene.add(scene.root(), transform(&mut random, center, seed.unit, seed.unit)).unwrap();
+            let inner = scene.add(place, transform(&mut random, DVec3::ZERO, 1.0, 1.0)).unwrap();
             scene.set_mask(place, 1 << random.index(3) | 1 << random.index(3)).unwrap();
             scene.set_visible(place, random.index(10) > 0).unwrap();
             let parent = if random.index(2) == 0 { place } else { inner };
             let (geometry, material) = (geometries[random.index(4)], materials[random.index(4)]);
             scene.add(parent, Core::Geometry { geometry, material }).unwrap();
+            // Some are seen again elsewhere, with all that is below them.
+            if random.index(3) == 0 {
+                let again = scene.add(scene.root(), transform(&mut random, DVec3::ZERO, 1.0, seed.unit)).unwrap();
+                scene.add(again, Core::Instance(place)).unwrap();
+                places.push(again);
+            }
+            if random.index(6) == 0 {
+                let again = scene.add(scene.root(), Core::MaterialGroup(materials[random.index(4)])).unwrap();
+                scene.add(again, Core::Instance(places[random.index(places.len())])).unwrap();
+            }
+            places.push(place);
         }
-        Self { scene, random, center, unit: seed.unit }
-    }
-
-    /// A point in or around the scene.
-    pub fn point(&mut self) -> DVec3 {
-        let reach = [1.0, 3.0, 10.0][self.random.index(3)];
-        self.center + self.random.in_cube().as_dvec3() * reach * self.unit
+        Self { scene, dice: Dice { random, center, unit: seed.unit } }
     }
 
     /// One mesh under a random transform.
@@ -90,22 +101,37 @@ impl World {
         let mut world = Self::new(Seed { instances: 0, ..seed });
         let geometry = world.scene.add_geometry(Geometry::new(mesh.positions, mesh.indices)).unwrap();
         let material = world.scene.add_material(Material::default()).unwrap();
-        let place = transform(&mut world.random, world.center, seed.unit);
+        let place = transform(&mut world.dice.random, world.dice.center, seed.unit, seed.unit);
         let place = world.scene.add(world.scene.root(), place).unwrap();
         world.scene.add(place, Core::Geometry { geometry, material }).unwrap();
         world
     }
+}
 
-    /// Compiled for queries.
-    pub fn compiled(&mut self) -> Compiler {
-        let mut compiler = Compiler::new();
-        Queries::of_scene(&mut compiler, &mut self.scene).unwrap();
-        compiler
+impl Dice {
+    /// A point in or around the scene.
+    pub fn point(&mut self) -> DVec3 {
+        let reach = [1.0, 3.0, 10.0][self.random.index(3)];
+        self.center + self.random.in_cube().as_dvec3() * reach * self.unit
+    }
+
+    /// What queries look for: two of the three masks there are, or one.
+    pub fn mask(&mut self) -> u32 {
+        1 << self.random.index(3) | 1
     }
 }
 
-/// Rotated, mirrored, sheared, flattened to almost or exactly nothing; within a few units of the center.
-fn transform(random: &mut Random, center: DVec3, unit: f64) -> Transform {
+/// A compiler that has caught up with the scene, and the render origin.
+pub fn compiled(scene: &mut Scene) -> (Compiler, DVec3) {
+    let mut compiler = Compiler::new();
+    compiler.catch_up(scene).unwrap();
+    let origin = compiler.origin();
+    (compiler, origin)
+}
+
+/// Rotated, mirrored, sheared, flattened to almost or exactly nothing, scaled by about `unit`; within some `reach` of the
+/// center.
+fn transform(random: &mut Random, center: DVec3, unit: f64, reach: f64) -> Transform {
     let rotation = DQuat::from_axis_angle(random.direction().as_dvec3(), f64::from(random.signed()) * 3.0);
     let mut scale = DVec3::ONE + random.in_cube().as_dvec3() * 0.7;
     let mut linear = DMat3::from_quat(rotation);
@@ -124,14 +150,16 @@ fn transform(random: &mut Random, center: DVec3, unit: f64) -> Transform {
     }
     let turn = if scale.z == 0.0 { DMat3::IDENTITY } else { DMat3::from_quat(rotation) };
     let linear = linear * DMat3::from_diagonal(scale * unit) * turn;
-    Transform::Matrix(DAffine3::from_mat3_translation(linear, center + random.in_cube().as_dvec3() * 3.0 * unit))
+    Transform::Matrix(DAffine3::from_mat3_translation(linear, center + random.in_cube().as_dvec3() * 3.0 * reach))
 }
 
 /// A node with geometry, as it is drawn. World is relative to the render origin.
 pub struct Drawn {
-    pub node: NodeKey,
+    pub path: NodePath,
     pub geometry: GeometryKey,
     pub material: MaterialKey,
+    /// What the material is.
+    pub surface: Material,
     pub local_from_world: DAffine3,
     pub world_from_local: DAffine3,
     /// With their indices in the geometry; those with equal corners are no triangles.
@@ -150,20 +178,20 @@ impl Drawn {
     }
 }
 
-/// All nodes that queries with this mask may find.
-pub fn drawn(scene: &Scene, origin: DVec3, mask: u32) -> Vec<Drawn> {
-    let nodes = scene.descendants(scene.root()).unwrap();
-    nodes.filter_map(|node| draw(scene, node, origin, mask)).collect()
+/// All that queries with this mask may find.
+pub fn drawn(scene: &mut Scene, origin: DVec3, mask: u32) -> Vec<Drawn> {
+    let (scene, hierarchy) = scene.with_hierarchy().unwrap();
+    (0..hierarchy.nodes().len()).filter_map(|entry| draw(scene, hierarchy, entry, origin, mask)).collect()
 }
 
-fn draw(scene: &Scene, node: NodeKey, origin: DVec3, mask: u32) -> Option<Drawn> {
-    let Core::Geometry { geometry, material } = *scene.core(node).unwrap() else { return None };
-    let way: Vec<NodeKey> = std::iter::once(node).chain(scene.ancestors(node).unwrap()).collect();
-    let is_hidden = way.iter().any(|&node| !scene.is_visible(node).unwrap());
-    let masks = way.iter().fold(mask, |mask, &node| mask & scene.mask(node).unwrap());
-    let mut relative = scene.world(node).unwrap();
+fn draw(scene: &Scene, hierarchy: &Hierarchy, entry: usize, origin: DVec3, mask: u32) -> Option<Drawn> {
+    let path = hierarchy.path(entry);
+    let Ok(&Core::Geometry { geometry, material }) = scene.core(path.node) else { return None };
+    let placed = hierarchy.placed()[entry];
+    let material = placed.material.unwrap_or(material);
+    let mut relative = placed.world;
     relative.translation -= origin;
-    if is_hidden || masks == 0 || relative.matrix3.determinant() == 0.0 {
+    if !placed.visible || placed.mask & mask == 0 || relative.matrix3.determinant() == 0.0 {
         return None;
     }
     let local_from_world = relative.inverse().as_affine3().as_daffine3();
@@ -174,5 +202,6 @@ fn draw(scene: &Scene, node: NodeKey, origin: DVec3, mask: u32) -> Option<Drawn>
     let stored = scene.geometry(geometry).unwrap();
     let corners = stored.indices.iter().map(|t| t.map(|v| stored.positions[v as usize].as_dvec3()));
     let triangles = (0..).zip(corners).filter(|(_, [a, b, c])| a != b && b != c && c != a).collect();
-    Some(Drawn { node, geometry, material, local_from_world, world_from_local, triangles })
+    let surface = scene.material(material).unwrap().clone();
+    Some(Drawn { path, geometry, material, surface, local_from_world, world_from_local, triangles })
 }

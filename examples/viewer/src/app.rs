@@ -12,7 +12,7 @@ use crate::camera_control::CameraControl;
 use crate::device::WindowDevice;
 use crate::drag::{Axis, Drag, Moves, moved_by};
 use crate::drawing::{Drawing, Drawn};
-use crate::history::{Edit, History};
+use crate::edit::Edit;
 use crate::messages::Messages;
 use crate::projection::Projection;
 use crate::stage::cameras;
@@ -25,7 +25,8 @@ pub(crate) struct App {
     pub(crate) settings: Settings,
     pub(crate) drawing: Drawing,
     pub(crate) messages: Messages,
-    history: History,
+    /// The name of the edits since the last step of undo.
+    editing: Option<&'static str>,
     selection: Option<NodeKey>,
     control: CameraControl,
     /// Where the camera was at first.
@@ -72,7 +73,7 @@ impl App {
             settings,
             drawing,
             messages,
-            history: History::default(),
+            editing: None,
             selection: None,
             control: CameraControl::from_view(&view, DVec3::ZERO),
             home: view.clone(),
@@ -120,7 +121,8 @@ impl App {
         }
         self.events.push(json!({ "event": "opened", "title": title, "nodes": scene.node_count() }));
         (self.scene, self.title, self.home) = (scene, title, view);
-        (self.history, self.selection, self.drag) = (History::default(), None, None);
+        (self.editing, self.selection, self.drag) = (None, None, None);
+        self.scene.enable_undo();
         self.drawing.start_over();
         self.go_home();
     }
@@ -290,37 +292,50 @@ impl App {
 
     // --- Editing
 
-    /// Changes the scene, as part of the group that [`end_group`](Self::end_group) ends.
+    /// Changes the scene, as part of the step of undo that [`end_group`](Self::end_group) ends.
     pub(crate) fn edit(&mut self, edit: Edit) {
-        if let Err(error) = self.history.edit(&mut self.scene, edit) {
-            self.fail(&error.to_string());
+        let name = edit.name();
+        match edit.apply(&mut self.scene) {
+            Ok(()) => self.editing = Some(name),
+            Err(error) => self.fail(&error.to_string()),
+        }
+        self.selection = self.selection.filter(|&node| self.scene.contains(node));
+    }
+
+    /// Removes what is selected, with everything below it.
+    pub(crate) fn remove_selection(&mut self) {
+        if let Some(node) = self.selection {
+            self.edit(Edit::Remove(node));
         }
     }
 
     /// Makes one step of undo of all edits since the last.
     pub(crate) fn end_group(&mut self) {
-        if let Some(name) = self.history.end_group() {
+        if let Some(name) = self.editing.take() {
+            self.scene.end_undo_group(name);
             self.events.push(json!({ "event": "edited", "name": name }));
         }
     }
 
     /// The names of what can be undone and done again.
     pub(crate) fn undoable(&self) -> [Option<&str>; 2] {
-        [self.history.undoable(), self.history.redoable()]
+        [self.scene.next_undo(), self.scene.next_redo()]
     }
 
     pub(crate) fn undo(&mut self) {
         self.end_group();
-        let undone = self.history.undo(&mut self.scene);
+        let undone = self.scene.undo();
         self.tell_history("undone", undone);
     }
 
     pub(crate) fn redo(&mut self) {
-        let redone = self.history.redo(&mut self.scene);
+        self.end_group();
+        let redone = self.scene.redo();
         self.tell_history("redone", redone);
     }
 
-    fn tell_history(&mut self, event: &str, outcome: ropewalk::Result<Option<&'static str>>) {
+    fn tell_history(&mut self, event: &str, outcome: ropewalk::Result<Option<String>>) {
+        self.selection = self.selection.filter(|&node| self.scene.contains(node));
         match outcome {
             Ok(Some(name)) => self.events.push(json!({ "event": event, "name": name })),
             Ok(None) => {}

@@ -6,7 +6,7 @@ use ropewalk::{Core, DeviceChoice, NodeKey, Scene, Transform, View};
 
 use crate::app::App;
 use crate::detail::Detail;
-use crate::history::Edit;
+use crate::edit::Edit;
 use crate::stage::camera_name;
 use crate::{signs, theme};
 

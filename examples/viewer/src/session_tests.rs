@@ -10,7 +10,7 @@ use serde_json::Value;
 
 use crate::app::{App, Settings};
 use crate::drag::Moves;
-use crate::history::Edit;
+use crate::edit::Edit;
 use crate::subject::Subject;
 use crate::ui::Panels;
 use crate::viewport::Viewport;
@@ -161,16 +161,19 @@ fn every_kind_of_edit_is_undone_and_done_again() {
     }
     let state = |app: &App| {
         let scene = &app.scene;
-        let (name, core) = (scene.name(drum).unwrap().to_owned(), scene.core(knot).unwrap().clone());
+        let (name, core) = (scene.name(drum).unwrap().to_owned(), scene.core(knot).ok().cloned());
         (name, scene.is_visible(drum).unwrap(), scene.mask(drum).unwrap(), core)
     };
-    let edited = ("barrel".to_owned(), false, 5, Core::Transform(turned));
+    let moved = ("barrel".to_owned(), false, 5, Some(Core::Transform(turned)));
+    let edited = (moved.0.clone(), false, 5, None);
     assert_eq!(state(&session.app), edited);
+    session.app.undo();
+    assert_eq!(state(&session.app), moved);
     (0..5).for_each(|_| session.app.undo());
     let original = state(&session.app);
     assert_eq!((original.0.as_str(), original.1, original.2), ("drum", true, u32::MAX));
-    assert_ne!(original.3, edited.3);
-    (0..5).for_each(|_| session.app.redo());
+    assert!(original.3.is_some() && original.3 != moved.3);
+    (0..6).for_each(|_| session.app.redo());
     assert_eq!(state(&session.app), edited);
 }
 

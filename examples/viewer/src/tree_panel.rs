@@ -6,7 +6,7 @@ use egui::{Align2, Color32, FontId, Rect, Response, ScrollArea, Sense, TextEdit,
 use ropewalk::{Change, Changes, Core, Cursor, NodeKey, Object, Scene};
 
 use crate::app::App;
-use crate::history::Edit;
+use crate::edit::Edit;
 use crate::{signs, theme};
 
 const ROW_HEIGHT: f32 = 20.0;

@@ -148,6 +148,7 @@ fn help(ui: &mut Ui) {
             ("Ctrl+Z, Ctrl+Y", "undo, redo"),
             ("R", "trace all rays now"),
             ("O, Esc", "overlay, select nothing"),
+            ("Delete", "remove the selection"),
         ] {
             ui.colored_label(theme::ACCENT, keys);
             ui.label(what);

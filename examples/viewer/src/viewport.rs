@@ -130,6 +130,9 @@ fn keys(ui: &Ui, app: &mut App) {
     if pressed(Key::R) {
         app.drawing.finish();
     }
+    if pressed(Key::Delete) {
+        app.remove_selection();
+    }
     if pressed(Key::Escape) {
         app.select(None);
     }

@@ -16,15 +16,16 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::ops::Range;
 
 use glam::DAffine3;
-use slotmap::{Key, SecondaryMap, SlotMap};
+use slotmap::{Key, SecondaryMap};
 
 use self::boxes::Boxes;
 use super::assets::{StoredGeometry, Used};
 use super::bit_set::BitSet;
 use super::core::CoreSlot;
 use super::node::Node;
+use super::store::Store;
 use super::validate::check;
-use super::{Core, CoreKey, GeometryKey, MaterialKey, NodeKey, NodePath};
+use super::{Core, CoreKey, GeometryKey, MaterialKey, NodeKey};
 use crate::Result;
 
 /// All nodes of a scene, flattened: a node's subtree is a range of indices that begins with the node's own, and the
@@ -66,6 +67,15 @@ pub struct Placed {
     pub visible: bool,
 }
 
+/// Which appearance of a node: the instances through which it is seen, and the node.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
+pub struct NodePath {
+    /// The nodes with [`Core::Instance`] on the way from the root, outermost first; empty where the node itself stands.
+    pub instances: Vec<NodeKey>,
+    /// The node.
+    pub node: NodeKey,
+}
+
 /// What an entry contributes to itself and to all below it.
 #[derive(Clone, Copy, Debug)]
 struct Own {
@@ -100,9 +110,9 @@ struct Pending {
 #[derive(Clone, Copy)]
 pub(super) struct Tree<'a> {
     pub(super) root: NodeKey,
-    pub(super) nodes: &'a SlotMap<NodeKey, Node>,
-    pub(super) cores: &'a SlotMap<CoreKey, CoreSlot>,
-    pub(super) geometries: &'a SlotMap<GeometryKey, Used<StoredGeometry>>,
+    pub(super) nodes: &'a Store<NodeKey, Node>,
+    pub(super) cores: &'a Store<CoreKey, CoreSlot>,
+    pub(super) geometries: &'a Store<GeometryKey, Used<StoredGeometry>>,
     /// Whether any core is an instance.
     pub(super) has_instances: bool,
 }
@@ -182,22 +192,6 @@ impl Hierarchy {
             Self::NO_PARENT => DAffine3::IDENTITY,
             parent => self.placed[parent as usize].world,
         }
-    }
-
-    /// The entry, or the nearest above it, that is there because its parent instances its node; `None` where the node itself
-    /// stands. O(depth).
-    ///
-    /// # Panics
-    /// If there is no entry at the index.
-    pub fn instanced_at(&self, entry: usize) -> Option<usize> {
-        let mut above = entry;
-        while self.own[above].copy {
-            if self.own[above].instanced {
-                return Some(above);
-            }
-            above = self.parents[above] as usize;
-        }
-        None
     }
 
     /// Which appearance of its node the entry is. O(depth).
