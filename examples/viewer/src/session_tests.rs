@@ -153,9 +153,13 @@ fn every_kind_of_edit_is_undone_and_done_again() {
     let mut session = Session::new();
     let (drum, knot) = session.place_of_drum();
     let turned = ropewalk::Transform::from_translation(glam::DVec3::X);
-    for edit in
-        [Edit::Rename(drum, "barrel".into()), Edit::Show(drum, false), Edit::Mask(drum, 5), Edit::Move(knot, turned)]
-    {
+    for edit in [
+        Edit::Rename(drum, "barrel".into()),
+        Edit::Show(drum, false),
+        Edit::Mask(drum, 5),
+        Edit::Move(knot, turned),
+        Edit::Remove(knot),
+    ] {
         session.app.edit(edit);
         session.app.end_group();
     }
