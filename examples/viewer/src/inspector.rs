@@ -116,7 +116,8 @@ impl Inspector {
             Some((of, angles)) if of.abs_diff_eq(rotation, 1e-12) => angles,
             _ => {
                 let (y, x, z) = rotation.to_euler(EulerRot::YXZ);
-                let angles = DVec3::new(x, y, z).map(f64::to_degrees);
+                // Without negative zeros.
+                let angles = DVec3::new(x, y, z).map(f64::to_degrees) + 0.0;
                 self.angles = Some((rotation, angles));
                 angles
             }

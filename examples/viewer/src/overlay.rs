@@ -82,14 +82,15 @@ fn graph(ui: &mut Ui, times: impl DoubleEndedIterator<Item = Duration> + Clone) 
     const HEIGHT: f32 = 44.0;
     const BAR: f32 = 252.0 / MOST_TIMES as f32;
 
-    let longest = times.clone().max().unwrap_or_default().max(2 * FLUENT);
+    // A bar that is longer than that is cut off.
+    let longest = times.clone().max().unwrap_or_default().clamp(2 * FLUENT, 6 * FLUENT);
     let (area, _) = ui.allocate_exact_size(vec2(BAR * MOST_TIMES as f32, HEIGHT), Sense::hover());
     let painter = ui.painter_at(area);
     painter.rect_filled(area, 2.0, Color32::from_black_alpha(90));
     let height = |time: Duration| HEIGHT * time.as_secs_f32() / longest.as_secs_f32();
     for (age, time) in times.clone().rev().enumerate() {
         let right = area.right() - age as f32 * BAR;
-        let top = area.bottom() - height(time).max(1.0);
+        let top = area.bottom() - height(time).clamp(1.0, HEIGHT);
         let color = if time > FLUENT { theme::ACCENT } else { Color32::from_rgb(0x8F, 0xC9, 0x8A) };
         painter.rect_filled(Rect::from_min_max(pos2(right - BAR, top), pos2(right - 0.4, area.bottom())), 0.0, color);
     }
@@ -100,7 +101,7 @@ fn graph(ui: &mut Ui, times: impl DoubleEndedIterator<Item = Duration> + Clone) 
     };
     text(pos2(area.left() + 3.0, line - 1.0), Align2::LEFT_BOTTOM, milliseconds(FLUENT));
     if let Some(last) = times.last() {
-        text(area.right_top() + vec2(-3.0, 2.0), Align2::RIGHT_TOP, format!("last frame {}", milliseconds(last)));
+        text(area.left_top() + vec2(3.0, 2.0), Align2::LEFT_TOP, format!("last frame {}", milliseconds(last)));
     }
 }
 
@@ -143,7 +144,11 @@ fn veil() -> Frame {
 
 fn milliseconds(time: Duration) -> String {
     let milliseconds = time.as_secs_f64() * 1e3;
-    if milliseconds < 10.0 { format!("{milliseconds:.1} ms") } else { format!("{milliseconds:.0} ms") }
+    match milliseconds {
+        ..10.0 => format!("{milliseconds:.1} ms"),
+        ..1000.0 => format!("{milliseconds:.0} ms"),
+        _ => format!("{:.1} s", milliseconds * 1e-3),
+    }
 }
 
 /// A number with its thousands apart.
