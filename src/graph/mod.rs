@@ -39,6 +39,7 @@ pub use core::{Core, CoreSource};
 pub use geometry::Geometry;
 pub use hierarchy::{Hierarchy, NodePath, Placed};
 pub use key::{CoreKey, GeometryKey, MaterialKey, NodeKey, Object, TextureKey};
+pub(crate) use key_map::KeyMap;
 pub use light::{Light, LightKind};
 pub use lod::{Lod, LodMeasure};
 pub use material::{AlphaMode, Filter, Material, Sampler, Texture, TextureRef, Wrap};

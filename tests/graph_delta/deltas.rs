@@ -211,7 +211,8 @@ impl Damage {
             _ if alike != self.3 => {}
             0 => objects[a].1 = None,
             1 => objects[a].1 = objects[b].1.clone(),
-            2 => drop(objects.remove(a)),
+            2 if objects.len() > 1 => drop(objects.remove(a)),
+            2 => {}
             3 => {
                 let (of_a, of_b) = (objects[a].1.take(), objects[b].1.take());
                 (objects[a].1, objects[b].1) = (of_b, of_a);

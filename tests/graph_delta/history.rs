@@ -2,8 +2,8 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use glam::Vec3;
-use ropewalk::{Core, Error, Geometry, Keep, Material, Scene};
+use glam::{DVec3, Vec3};
+use ropewalk::{Core, Error, Geometry, Keep, Material, Scene, Transform};
 
 use crate::content;
 
@@ -109,4 +109,25 @@ fn a_transaction_is_part_of_its_group() {
     assert!(!scene.contains(node));
     scene.redo().unwrap();
     assert_eq!(scene.name(node).unwrap(), "good");
+}
+
+/// The flattened arrays have not seen that it went when it is back.
+#[test]
+fn an_instanced_node_goes_and_comes_back_unseen() {
+    let mut scene = Scene::new();
+    let (a, b) = (Transform::from_translation(DVec3::X), Transform::from_scale(DVec3::splat(0.5)));
+    let a = scene.add(scene.root(), a).unwrap();
+    let b = scene.add(scene.root(), b).unwrap();
+    let instance = scene.add(scene.root(), Core::Instance(a)).unwrap();
+    scene.hierarchy().unwrap();
+    let result = scene.transaction(|scene| {
+        scene.reparent(a, b, Keep::World)?;
+        scene.remove(b)?;
+        assert_eq!(*scene.core(instance)?, Core::Group);
+        Err::<(), _>(Error::QueueClosed)
+    });
+    assert!(result.is_err());
+    assert_eq!(*scene.core(instance).unwrap(), Core::Instance(a));
+    scene.hierarchy().unwrap();
+    scene.validate().unwrap();
 }

@@ -2,7 +2,6 @@
 
 use std::collections::HashMap;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 
 use ropewalk::{Core, EditQueue, Error, NodeKey, Scene, Transform};
@@ -18,7 +17,6 @@ fn batches_of_eight_threads() {
     let tallies: Vec<NodeKey> = (0..THREADS).map(|_| scene.add(scene.root(), Core::Group).unwrap()).collect();
     tallies.iter().for_each(|&node| scene.set_name(node, "0").unwrap());
     let queue = EditQueue::new();
-    let done = Arc::new(AtomicBool::new(false));
     let tallies = Arc::new(tallies);
 
     let workers: Vec<_> = (0..THREADS)
@@ -64,7 +62,6 @@ fn batches_of_eight_threads() {
         let sum: i64 = tallies.iter().map(|&node| tally(&scene, node)).sum();
         assert_eq!(sum, 0, "between batches, what one has lost another has got");
     }
-    done.store(true, Ordering::Relaxed);
     let mut committed = HashMap::new();
     for worker in workers {
         committed.extend(worker.join().unwrap());

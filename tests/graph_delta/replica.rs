@@ -4,7 +4,7 @@ use std::sync::mpsc::{Receiver, channel, sync_channel};
 use std::thread;
 
 use glam::DVec3;
-use ropewalk::{Core, Cursor, Delta, DeviceChoice, Keep, NodeKey, Renderer, RendererOptions, Scene, Transform, View};
+use ropewalk::{Cursor, Delta, DeviceChoice, Keep, NodeKey, Renderer, RendererOptions, Scene, Transform, View};
 
 use crate::{content, sample};
 
@@ -22,27 +22,31 @@ const _: () = {
 fn edit(scene: &mut Scene, nodes: &mut Vec<NodeKey>, frame: usize) {
     for name in ["even", "odd"] {
         let parent = nodes[frame * 31 % nodes.len()];
-        let node = scene.add(parent, Transform::from_translation(DVec3::splat(frame as f64))).unwrap();
-        scene.set_name(node, name).unwrap();
-        nodes.push(node);
+        add(scene, parent, name, nodes);
     }
     let (a, b) = (nodes[frame * 17 % nodes.len()], nodes[frame * 13 % nodes.len()]);
     // Some of these would close cycles.
     let _ = scene.reparent(a, b, Keep::Local);
-    if frame % 7 == 0 {
-        let pair = nodes.len() - 2;
-        nodes.drain(pair..).for_each(|node| drop(scene.remove(node)));
+    if frame.is_multiple_of(7) {
+        // What goes is made up for.
+        let gone = nodes.swap_remove(1 + frame % (nodes.len() - 1));
+        scene.remove(gone).unwrap();
         nodes.retain(|&node| scene.contains(node));
-        let names = |name| nodes.iter().filter(|&&node| scene.name(node).unwrap() == name).count();
-        let (even, odd) = (names("even"), names("odd"));
-        for name in std::iter::repeat_n("even", odd.saturating_sub(even))
-            .chain(std::iter::repeat_n("odd", even.saturating_sub(odd)))
-        {
-            let node = scene.add(scene.root(), Core::Group).unwrap();
-            scene.set_name(node, name).unwrap();
-            nodes.push(node);
-        }
+        let missing = named(scene, "odd") as isize - named(scene, "even") as isize;
+        let name = if missing > 0 { "even" } else { "odd" };
+        (0..missing.abs()).for_each(|_| add(scene, scene.root(), name, nodes));
     }
+}
+
+fn add(scene: &mut Scene, parent: NodeKey, name: &str, nodes: &mut Vec<NodeKey>) {
+    let place = DVec3::splat(nodes.len() as f64);
+    let node = scene.add(parent, Transform::from_translation(place)).unwrap();
+    scene.set_name(node, name).unwrap();
+    nodes.push(node);
+}
+
+fn named(scene: &Scene, name: &str) -> usize {
+    scene.descendants(scene.root()).unwrap().filter(|&node| scene.name(node).unwrap() == name).count()
 }
 
 /// Applies what comes, checks the rule after each frame, and gives the final content.
@@ -50,9 +54,7 @@ fn follow(deltas: &Receiver<Delta>) -> (Scene, usize) {
     let (mut replica, mut frames) = (Scene::new(), 0);
     while let Ok(delta) = deltas.recv() {
         replica.apply(&delta).unwrap();
-        let named =
-            |name| replica.descendants(replica.root()).unwrap().filter(|&n| replica.name(n).unwrap() == name).count();
-        assert_eq!(named("even"), named("odd"), "half a frame was seen");
+        assert_eq!(named(&replica, "even"), named(&replica, "odd"), "half a frame was seen");
         replica.hierarchy().unwrap();
         frames += 1;
     }
@@ -67,7 +69,7 @@ fn replicas_on_threads_see_whole_frames() {
     let mut followers = Vec::new();
     let (in_step, in_step_received) = sync_channel(0);
     let (lagging, lagging_received) = channel();
-    let mut cursors = vec![Cursor::default(), Cursor::default()];
+    let mut cursors = [Cursor::default(), Cursor::default()];
     followers.push(thread::spawn(move || follow(&in_step_received)));
     followers.push(thread::spawn(move || follow(&lagging_received)));
     let mut late = Vec::new();
@@ -100,7 +102,7 @@ fn replicas_on_threads_see_whole_frames() {
 /// What a replica shows is what the scene showed, while the scene is already another.
 #[test]
 fn a_replica_is_drawn_while_the_scene_is_edited() {
-    let options = RendererOptions { device: DeviceChoice::Cpu, ..RendererOptions::default() };
+    let options = RendererOptions { device: DeviceChoice::Cpu };
     let mut scene = sample();
     let view = View::framing(&mut scene, 32, 24).unwrap();
     let expected = Renderer::new(&options).unwrap().render(&mut scene, &view).unwrap().image().unwrap().color.clone();

@@ -8,7 +8,7 @@ use proptest::collection::vec;
 use proptest::prelude::*;
 use proptest::test_runner::TestRunner;
 use ropewalk::compile::Compiler;
-use ropewalk::{Cursor, Delta, Error, Scene};
+use ropewalk::{Cursor, Delta, Error, Object, Scene, State};
 
 use crate::canonical::Canonical;
 use crate::model::Model;
@@ -63,6 +63,8 @@ fn step() -> impl Strategy<Value = Step> {
 /// Scene and model, with all that hangs on the scene.
 struct Session {
     scene: Scene,
+    /// What can be undone to.
+    start: Vec<(Object, Option<State>)>,
     model: Model,
     issued: Issued,
     /// Names of groups, and what the model was before each, or after it.
@@ -79,12 +81,20 @@ struct Session {
 }
 
 impl Session {
+    /// With geometries and materials, or too few random edits would make something to be seen.
     fn new() -> Self {
         let mut scene = Scene::new();
+        let mut model = Model::new(&scene);
+        let mut issued = Issued::new(&scene);
+        for (kind, value) in [(19, 7), (19, 9), (20, 3)] {
+            let raw = RawEdit { kind, a: 0, b: 0, value };
+            issued.resolve(&raw, &model).run(&mut scene, &mut model, &mut issued);
+        }
+        assert_eq!((scene.geometry_count(), scene.material_count()), (2, 1));
         scene.enable_undo();
-        let model = Model::new(&scene);
         Self {
-            issued: Issued::new(&scene),
+            start: content(&scene),
+            issued,
             scene,
             group_start: model.clone(),
             model,
@@ -238,7 +248,7 @@ impl Session {
             compare::state(&mut self.scene, &self.model, &self.issued);
         }
         assert_eq!(self.scene.next_undo(), None);
-        assert_eq!(content(&self.scene), content(&Scene::new()));
+        assert_eq!(content(&self.scene), self.start);
         for _ in 0..count {
             self.redo();
             compare::state(&mut self.scene, &self.model, &self.issued);
@@ -255,7 +265,7 @@ impl Session {
 
 #[test]
 fn sessions_equal_their_models() {
-    let config = ProptestConfig { cases: 600, failure_persistence: None, ..ProptestConfig::default() };
+    let config = ProptestConfig { cases: 800, failure_persistence: None, ..ProptestConfig::default() };
     let seen = RefCell::new(BTreeMap::<&str, usize>::new());
     let outcome = TestRunner::new(config).run(&vec(step(), 1..150), |steps| {
         let mut session = Session::new();

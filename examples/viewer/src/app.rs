@@ -205,9 +205,14 @@ impl App {
         }
     }
 
-    /// Writes the current view to a file, in full detail.
+    /// Writes the current view to a file, in full detail; or, as the name's ending says, the scene.
     pub(crate) fn save(&mut self, path: &Path) {
-        match self.drawing.save(&mut self.scene, &self.view, self.settings.rays, path) {
+        let saved = if path.extension().is_some_and(|extension| extension == "ropewalk") {
+            self.scene.save(path)
+        } else {
+            self.drawing.save(&mut self.scene, &self.view, self.settings.rays, path)
+        };
+        match saved {
             Ok(()) => {
                 self.messages.tell(format!("Saved {}", path.display()));
                 self.events.push(json!({ "event": "saved", "path": path }));

@@ -9,7 +9,7 @@ use ropewalk::{DeviceChoice, View};
 #[derive(Clone, Debug, Parser)]
 #[command(name = "ropewalk-viewer", version, about, args_override_self = true)]
 pub(crate) struct Arguments {
-    /// A .gltf or .glb file; without one, a scene made in code is shown
+    /// A .gltf, .glb or .ropewalk file; without one, a scene made in code is shown
     pub(crate) file: Option<PathBuf>,
     /// Pixels of the window
     #[arg(long, value_name = "WxH", default_value = "1280x800", value_parser = parse_size)]
@@ -24,7 +24,7 @@ pub(crate) struct Arguments {
     /// Rays along each side of a pixel, averaged, where nothing moves
     #[arg(long, value_name = "N", default_value = "2", value_parser = clap::value_parser!(u32).range(1..=3))]
     pub(crate) samples: u32,
-    /// Where Ctrl+S saves the picture: .png or .exr
+    /// Where Ctrl+S saves: the picture as .png or .exr, the scene as .ropewalk
     #[arg(long, value_name = "FILE", default_value = "view.png")]
     pub(crate) save: String,
     /// Print what happens to standard output, as lines of JSON

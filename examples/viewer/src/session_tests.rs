@@ -210,6 +210,21 @@ fn a_dropped_file_is_opened_and_a_bad_one_leaves_what_there_was() {
     assert!(session.app.scene.find("lone").is_some());
 }
 
+#[test]
+fn a_saved_scene_is_opened_as_it_was() {
+    let mut session = Session::new();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("edited.ropewalk");
+    let (drum, knot) = session.place_of_drum();
+    session.app.edit(Edit::Rename(drum, "barrel".into()));
+    session.app.edit(Edit::Show(knot, false));
+    session.app.save(&path);
+    let saved = session.app.scene.snapshot();
+    session.drop_file(path);
+    assert_eq!((session.count("saved"), session.count("error")), (1, 0));
+    assert_eq!(session.app.scene.snapshot(), saved);
+}
+
 /// As the window system hands it over.
 #[derive(Debug)]
 struct Dropped(PathBuf);

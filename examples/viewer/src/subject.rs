@@ -48,6 +48,10 @@ impl Subject {
     pub(crate) fn load(path: Option<&Path>) -> Result<Self, String> {
         let mut scene = Scene::new();
         let (sky, not_honoured) = match path {
+            Some(path) if path.extension().is_some_and(|extension| extension == "ropewalk") => {
+                scene = Scene::load(path).map_err(|error| error.to_string())?;
+                (Sky::default(), 0)
+            }
             Some(path) => {
                 let root = scene.root();
                 let import = gltf::import(path, &mut scene, root).map_err(|error| error.to_string())?;

@@ -105,7 +105,7 @@ fn bar(ui: &mut Ui, app: &mut App) {
 
 fn file_menu(ui: &mut Ui, app: &mut App) {
     ui.set_min_width(320.0);
-    ui.weak("A .gltf or .glb file; or drop one into the window");
+    ui.weak("A .gltf, .glb or .ropewalk file; or drop one into the window");
     ui.horizontal(|ui| {
         ui.add(TextEdit::singleline(&mut app.settings.open_path).hint_text("path").desired_width(240.0));
         if ui.add_enabled(!app.settings.open_path.is_empty(), Button::new("Open")).clicked() {
@@ -118,7 +118,7 @@ fn file_menu(ui: &mut Ui, app: &mut App) {
         ui.close();
     }
     ui.separator();
-    ui.weak("The picture, as .png or .exr (Ctrl+S)");
+    ui.weak("The picture as .png or .exr (Ctrl+S), the scene as .ropewalk");
     ui.horizontal(|ui| {
         ui.add(TextEdit::singleline(&mut app.settings.save_path).desired_width(240.0));
         if ui.button("Save").clicked() {

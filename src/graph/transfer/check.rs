@@ -17,9 +17,7 @@ const MOST_SLOTS_SKIPPED: usize = 1 << 20;
 /// be put after their siblings.
 pub(super) fn check(scene: &Scene, delta: &Delta) -> Result<Vec<NodeKey>> {
     let after = After { scene, delta };
-    if let Some(pair) = delta.objects.windows(2).find(|pair| pair[0].0 >= pair[1].0) {
-        return Err(misfit(pair[1].0, "it comes twice, or out of order"));
-    }
+    check_order(scene, delta)?;
     for (object, state) in delta.objects() {
         match state {
             Some(state) => after.check_state(object, state)?,
@@ -34,6 +32,23 @@ pub(super) fn check(scene: &Scene, delta: &Delta) -> Result<Vec<NodeKey>> {
         (order, None) => Ok(order),
         (_, Some(node)) => Err(misfit(node, "it is to come after itself")),
     }
+}
+
+/// Checks that no object comes twice, and that no two are to have one slot.
+fn check_order(scene: &Scene, delta: &Delta) -> Result<()> {
+    if let Some(pair) = delta.objects.windows(2).find(|pair| pair[0].0 >= pair[1].0) {
+        return Err(misfit(pair[1].0, "it comes twice, or out of order"));
+    }
+    // Generations of one slot come one after the other.
+    let there = delta.objects.iter().filter(|(_, state)| state.is_some());
+    let slots = there.map(|&(object, _)| (object, std::mem::discriminant(&object), scene.place(object).0));
+    let mut last = None;
+    for (object, kind, slot) in slots {
+        if last.replace((kind, slot)) == Some((kind, slot)) {
+            return Err(misfit(object, "another object is to have its slot too"));
+        }
+    }
+    Ok(())
 }
 
 /// The nodes of a delta, each after its previous sibling if that is in the delta too; and one that is to come after

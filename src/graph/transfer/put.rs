@@ -181,6 +181,8 @@ impl Scene {
     /// All of a node but its place among its family.
     fn put_node(&mut self, key: NodeKey, state: &NodeState) {
         let Some(node) = self.nodes.get(key) else {
+            // It may have been here before, and have left entries that were not yet caught up with.
+            self.hierarchy.subtree_removed(key);
             let node = Node::new(state.core);
             let node = Node { mask: state.mask, visible: state.visible, name: state.name.clone(), ..node };
             self.nodes.insert_at(key, node);
