@@ -1,6 +1,6 @@
 //! What is selected, in detail, to be edited; and how everything is seen.
 
-use egui::{ComboBox, DragValue, Grid, Sense, Slider, TextEdit, Ui, Vec2, vec2};
+use egui::{ComboBox, DragValue, Grid, Label, RichText, Sense, Slider, TextEdit, Ui, Vec2, vec2};
 use glam::{DQuat, DVec3, EulerRot};
 use ropewalk::{Core, DeviceChoice, NodeKey, Scene, Transform, View};
 
@@ -43,7 +43,7 @@ impl Inspector {
             let (sign, _) = ui.allocate_exact_size(Vec2::splat(2.0 * signs::RADIUS), Sense::hover());
             signs::paint(ui.painter(), sign.center(), &core, 1.0);
             ui.strong(core.kind());
-            ui.weak(describe(&app.scene, node, &core));
+            ui.add(Label::new(RichText::new(describe(&app.scene, node, &core)).weak()).truncate());
         });
         self.name(ui, app, node);
 
@@ -185,7 +185,7 @@ fn describe(scene: &Scene, node: NodeKey, core: &Core) -> String {
             let triangles = scene.geometry(*geometry).map_or(0, |geometry| geometry.indices.len());
             let users = scene.core_key(node).and_then(|core| Ok(scene.users(core)?.count())).unwrap_or(1);
             let shared = if users > 1 { format!(", shared by {users} nodes") } else { String::new() };
-            format!("{triangles} triangles{shared}")
+            format!("{triangles} {}{shared}", if triangles == 1 { "triangle" } else { "triangles" })
         }
         _ => {
             let children = scene.children(node).map_or(0, Iterator::count);
