@@ -124,7 +124,10 @@ fn forged_keys_allocate_nothing() {
     assert!(matches!(small.refuses(&[(forged(0, 1).into(), state.clone())]), Error::Delta { .. }));
     assert!(matches!(small.refuses(&[(forged(u64::from(u32::MAX), 1).into(), state.clone())]), Error::Delta { .. }));
     // Two generations in one slot, one of which may live there.
-    let two = [(forged(9, 1).into(), state.clone()), (forged(9, 3).into(), state.clone())];
+    let two = [1, 3].map(|generation| {
+        let key: CoreKey = slotmap::KeyData::from_ffi(generation << 32 | 9).into();
+        (key.into(), Some(State::Core(Core::Group)))
+    });
     assert!(matches!(small.refuses(&two), Error::Delta { .. }));
     // Another generation lives there.
     assert!(matches!(small.refuses(&[(forged(1, 3).into(), state)]), Error::Delta { .. }));
