@@ -68,3 +68,8 @@ pub use render::{DeviceChoice, Frame, FrameReport, Renderer, RendererOptions, Sk
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;
+
+/// The guide's programs run.
+#[cfg(doctest)]
+#[doc = include_str!("../docs/SCENE_GRAPH.md")]
+struct SceneGraphGuide;

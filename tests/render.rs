@@ -2,7 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "a panic in a test is a failure")]
 
-use glam::{DAffine3, DQuat, DVec3, Vec2, Vec3};
+use glam::{DAffine3, DQuat, DVec3, Vec3};
 use ropewalk::accel::{Rebuild, Update};
 use ropewalk::{
     Camera, Core, DeviceChoice, Error, Geometry, Light, LightKind, Material, NodeKey, Renderer, RendererOptions, Scene,
@@ -78,7 +78,7 @@ fn each_edit_rebuilds_what_depends_on_it_and_says_why() {
     let moved = report(&mut renderer, &mut scene);
     assert!(matches!(moved.compile.tlas, Update::Patched { instances: 1, .. } | Update::Refitted { instances: 1 }));
     assert_eq!(moved.compile.blas_built, 0);
-    assert!(moved.to_string().contains("1 instance"), "{moved}");
+    assert!(moved.to_string().contains("instances: 1"), "{moved}");
 
     scene.set_visible(cubes[4], false).unwrap();
     let hidden = report(&mut renderer, &mut scene);
@@ -117,39 +117,6 @@ fn a_scene_far_from_the_origin_looks_the_same() {
     let different = (0..pixels).filter(|&i| (near.node[i], near.triangle[i]) != (far.node[i], far.triangle[i])).count();
     // f64 holds 1e7 to 2e-9: a ray within that of an edge may take the other side.
     assert_eq!(different, 0, "of {pixels} pixels");
-}
-
-/// A quarter of a large image, and the large image without shift: the same pixels.
-#[test]
-fn a_shifted_camera_sees_a_crop_of_a_larger_image() {
-    let (mut scene, ..) = scene();
-    let mut renderer = cpu();
-    let mut ids = |camera: Camera, width, height| {
-        let view = View { width, height, camera, ..view(DVec3::ZERO) };
-        let aovs = renderer.render(&mut scene, &view).unwrap().image().unwrap().aovs.unwrap();
-        aovs.node.into_iter().zip(aovs.triangle).collect::<Vec<_>>()
-    };
-    // At (left, top) of a large image of twice the width and three times the height.
-    let (width, height) = (64, 40);
-    let tall = |y_fov: f32| 2.0 * ((y_fov / 2.0).tan() / 3.0).atan();
-    let cameras = [
-        (Camera::perspective(0.9), Camera::perspective(tall(0.9))),
-        (Camera::orthographic(6.4, 6.0), Camera::orthographic(3.2, 2.0)),
-    ];
-    for (large, small) in cameras {
-        let whole = ids(large, 2 * width, 3 * height);
-        let mut hits = 0;
-        for [left, top] in [[0, 0], [64, 80], [32, 40], [11, 67]] {
-            let center = [left + width / 2, top + height / 2].map(|x| x as f32);
-            let shift = Vec2::new(center[0] / width as f32 * 2.0 - 2.0, 3.0 - center[1] / height as f32 * 2.0);
-            let tile = ids(small.shifted(shift), width, height);
-            let row = |y: u32| &whole[((top + y) * 2 * width + left) as usize..][..width as usize];
-            let crop: Vec<_> = (0..height).flat_map(row).copied().collect();
-            hits += crop.iter().filter(|(_, triangle)| *triangle != u32::MAX).count();
-            assert!(tile == crop, "{small:?} at {left}, {top}");
-        }
-        assert!(hits > 3000, "{hits} pixels to compare");
-    }
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! How large and how good a hierarchy is.
 
+use glam::{DVec3, Vec3};
 use serde::Serialize;
 
 use crate::device::layout::Node;
@@ -59,10 +60,19 @@ impl Stats {
 }
 
 /// Half the surface area of a node's box; 0 for an unused one.
+#[inline]
 pub(super) fn half_area(node: &Node) -> f64 {
+    let side = Vec3::from_array(node.max) - Vec3::from_array(node.min);
+    let area = side.dot(Vec3::new(side.y, side.z, side.x));
+    if area.is_normal() { f64::from(area) } else { extreme_half_area(node) }
+}
+
+/// The same where f32 overflows or underflows.
+#[cold]
+fn extreme_half_area(node: &Node) -> f64 {
     if node.is_unused() {
         return 0.0;
     }
-    let [x, y, z] = [0, 1, 2].map(|axis| f64::from(node.max[axis]) - f64::from(node.min[axis]));
-    x * y + y * z + z * x
+    let side = Vec3::from_array(node.max).as_dvec3() - Vec3::from_array(node.min).as_dvec3();
+    side.dot(DVec3::new(side.y, side.z, side.x))
 }

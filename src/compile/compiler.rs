@@ -190,7 +190,8 @@ impl Compiler {
             self.view.clear();
             let mut members = Vec::new();
             for entry in 0..entry_count {
-                members.extend(self.classify(scene, hierarchy, entry)?);
+                self.view.classify(scene, hierarchy, entry);
+                members.extend(self.member(scene, hierarchy, entry));
             }
             self.instances.replace(members.into_iter(), entry_count, &mut self.arrays)?;
             return Ok(true);
@@ -211,7 +212,8 @@ impl Compiler {
         let mut shine = self.lights.len() != lights;
         for range in changed.into_iter().chain([new]) {
             shine |= self.has_lights(&range);
-            self.refresh(scene, hierarchy, range.clone())?;
+            range.clone().for_each(|entry| self.view.classify(scene, hierarchy, entry));
+            self.settle(scene, hierarchy, range.clone())?;
             shine |= self.has_lights(&range);
         }
 
@@ -229,7 +231,7 @@ impl Compiler {
         let choice = self.view.choose(scene, hierarchy, observer)?;
         for range in choice.shown {
             shine |= self.has_lights(&range);
-            self.refresh(scene, hierarchy, range.clone())?;
+            self.settle(scene, hierarchy, range.clone())?;
             shine |= self.has_lights(&range);
         }
         for entry in choice.turned {
@@ -239,34 +241,32 @@ impl Compiler {
         Ok(shine)
     }
 
-    /// Finds out anew what the entries in a range are.
-    fn refresh(&mut self, scene: &Scene, hierarchy: &Hierarchy, range: Range<usize>) -> Result<()> {
+    /// Makes the entries in a range members, lights, or neither.
+    fn settle(&mut self, scene: &Scene, hierarchy: &Hierarchy, range: Range<usize>) -> Result<()> {
         for entry in range {
-            let member = self.classify(scene, hierarchy, entry)?;
+            let member = self.member(scene, hierarchy, entry);
             self.instances.set(entry, member, &mut self.arrays)?;
         }
         Ok(())
     }
 
-    /// What an entry is; the member, if it is one.
-    fn classify(&mut self, scene: &Scene, hierarchy: &Hierarchy, entry: usize) -> Result<Option<Member>> {
+    /// The member that an entry is, if it is one; a light is noted.
+    fn member(&mut self, scene: &Scene, hierarchy: &Hierarchy, entry: usize) -> Option<Member> {
         let node = hierarchy.nodes()[entry];
-        // A gap.
-        let Ok(core) = scene.core(node) else { return Ok(None) };
-        self.view.classify(hierarchy, entry, core);
         let placed = &hierarchy.placed()[entry];
-        let shown = placed.visible && self.view.shows(entry);
+        // A gap has no core.
+        let core = scene.core(node).ok().filter(|_| placed.visible && self.view.shows(entry));
         match core {
-            Core::Light(_) if shown => drop(self.lights.insert(entry as u32)),
+            Some(Core::Light(_)) => drop(self.lights.insert(entry as u32)),
             _ => drop(self.lights.remove(&(entry as u32))),
         }
-        Ok(match *core {
-            Core::Geometry { geometry, material } if shown => {
+        match *core? {
+            Core::Geometry { geometry, material } => {
                 let material = placed.material.unwrap_or(material);
                 Some(Member { entry: entry as u32, node, geometry, material })
             }
             _ => None,
-        })
+        }
     }
 
     fn has_lights(&self, range: &Range<usize>) -> bool {

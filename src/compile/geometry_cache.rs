@@ -10,11 +10,10 @@ use super::arena::Arena;
 use super::enclosure::encloses;
 use super::instance_table::Users;
 use crate::Result;
-use crate::accel::{Blas, BuildParams};
+use crate::accel::{Blas, BuildParams, Support};
 use crate::device::DeviceArrays;
 use crate::device::layout::{NONE, Streams};
 use crate::graph::{Geometry, GeometryKey, Scene};
-use crate::math::Aabb;
 
 /// The bottom-level structures and vertex streams on the device, by (geometry key, geometry version).
 #[derive(Debug)]
@@ -45,8 +44,8 @@ pub(super) struct Entry {
     colors: Range<u32>,
     /// Triangles of the geometry; more than `triangles` where some cannot be hit.
     pub(super) triangle_count: usize,
-    /// Of its triangles, local space.
-    pub(super) bounds: Aabb,
+    /// How far its triangles reach, local space.
+    pub(super) support: Support,
     /// The geometry itself: its streams are shared with the scene.
     source: Geometry,
     encloses: OnceLock<bool>,
@@ -57,6 +56,12 @@ impl Entry {
     pub(super) fn encloses(&self) -> bool {
         *self.encloses.get_or_init(|| encloses(&self.source))
     }
+}
+
+/// What is made of a geometry.
+struct Built {
+    blas: Blas,
+    support: Support,
 }
 
 /// What [`GeometryCache::update`] did.
@@ -99,16 +104,17 @@ impl GeometryCache {
         let missing = used.keys().filter(|&key| !self.entries.contains_key(key));
         let missing: Vec<(GeometryKey, u64, &Geometry)> =
             missing.map(|key| Ok((key, scene.geometry_version(key)?, scene.geometry(key)?))).collect::<Result<_>>()?;
-        let built: Vec<Blas> = missing
-            .par_iter()
-            .map(|(_, _, geometry)| Blas::build(geometry, &BuildParams::default()))
-            .collect::<Result<_>>()?;
+        let build = |geometry| {
+            let blas = Blas::build(geometry, &BuildParams::default())?;
+            Ok(Built { support: Support::new(&blas), blas })
+        };
+        let built: Vec<Built> = missing.par_iter().map(|(_, _, geometry)| build(geometry)).collect::<Result<_>>()?;
 
         let mut update = GeometryUpdate { freed: stale.len(), ..GeometryUpdate::default() };
-        for ((key, version, geometry), blas) in missing.into_iter().zip(built) {
+        for ((key, version, geometry), built) in missing.into_iter().zip(built) {
             update.built.push(key);
             update.built_triangles += geometry.indices.len();
-            let entry = self.store(version, geometry, &blas, arrays)?;
+            let entry = self.store(version, geometry, built, arrays)?;
             self.entries.insert(key, entry);
         }
         Ok(update)
@@ -129,7 +135,7 @@ impl GeometryCache {
         self.entries.len()
     }
 
-    fn store(&mut self, version: u64, geometry: &Geometry, blas: &Blas, arrays: &mut DeviceArrays) -> Result<Entry> {
+    fn store(&mut self, version: u64, geometry: &Geometry, built: Built, arrays: &mut DeviceArrays) -> Result<Entry> {
         let has_streams =
             geometry.normals.is_some() || geometry.colors.is_some() || geometry.tex_coords.iter().any(Option::is_some);
         // Without a stream there is nothing to look up by vertex.
@@ -156,15 +162,15 @@ impl GeometryCache {
         };
         Ok(Entry {
             version,
-            nodes: self.nodes.store(&mut arrays.blas_nodes, &blas.nodes)?,
-            triangles: self.triangles.store(&mut arrays.triangles, &blas.triangles)?,
+            nodes: self.nodes.store(&mut arrays.blas_nodes, &built.blas.nodes)?,
+            triangles: self.triangles.store(&mut arrays.triangles, &built.blas.triangles)?,
             streams: self.streams.store(&mut arrays.geometries, &[streams])?,
             indices,
             normals,
             tex_coords,
             colors,
             triangle_count: geometry.indices.len(),
-            bounds: blas.bounds,
+            support: built.support,
             source: geometry.clone(),
             encloses: OnceLock::new(),
         })

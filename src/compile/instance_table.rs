@@ -231,17 +231,22 @@ impl InstanceTable {
 impl InstanceTable {
     /// Writes the records of the members that must be; how many.
     pub(super) fn write(&mut self, sources: &Sources<'_>, arrays: &mut DeviceArrays) -> usize {
-        let stale = std::mem::take(&mut self.stale);
-        let members = stale.par_iter().with_min_len(256).map(|&slot| self.slots[slot as usize].member);
-        let placed: Vec<_> = members.map(|member| member.map(|member| place(&member, sources))).collect();
-        let mut written = 0;
-        for (slot, placed) in stale.into_iter().zip(placed) {
-            self.slots[slot as usize].is_stale = false;
-            if let Some((record, bounds, triangles)) = placed {
-                self.put(slot, record, bounds, triangles, arrays);
-                written += 1;
+        let mut stale = std::mem::take(&mut self.stale);
+        let (mut placed, mut written) = (Vec::new(), 0);
+        // As many at a time as stay in a cache.
+        for stale in stale.chunks(1 << 12) {
+            let members = stale.par_iter().with_min_len(256).map(|&slot| self.slots[slot as usize].member);
+            members.map(|member| member.map(|member| place(&member, sources))).collect_into_vec(&mut placed);
+            for (&slot, placed) in stale.iter().zip(placed.drain(..)) {
+                self.slots[slot as usize].is_stale = false;
+                if let Some((record, bounds, triangles)) = placed {
+                    self.put(slot, record, bounds, triangles, arrays);
+                    written += 1;
+                }
             }
         }
+        stale.clear();
+        self.stale = stale;
         if self.free_slots.len() == self.slots.len() {
             // Nobody is left: start anew, with no more memory than that takes.
             let slot_at = std::mem::take(&mut self.slot_at);
@@ -399,7 +404,7 @@ fn place(member: &Member, sources: &Sources<'_>) -> (Instance, Aabb, usize) {
     if geometry.nodes.is_empty() {
         return nothing(geometry.triangle_count);
     }
-    let Some(placement) = Placement::new(&world_from_local, sources.origin, &geometry.bounds) else {
+    let Some(placement) = Placement::new(&world_from_local, sources.origin, &geometry.support) else {
         return nothing(geometry.triangle_count);
     };
     let indices = [geometry.nodes.start, geometry.triangles.start, geometry.streams.start, material.record.start];

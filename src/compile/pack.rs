@@ -5,6 +5,7 @@ use slotmap::Key as _;
 
 use super::Needs;
 use super::needs::MAX_MIRROR_ROUGHNESS;
+use crate::accel::Support;
 use crate::device::layout::{self, Instance, InstanceFlags, MaterialFlags, TextureFlags, TextureInfo};
 use crate::graph::{AlphaMode, Filter, Light, LightKind, Material, NodeKey, Texture, TextureRef, Wrap};
 use crate::math::Aabb;
@@ -19,13 +20,13 @@ pub(super) struct Placement {
 }
 
 impl Placement {
-    /// Places a geometry with local bounds `bounds`. `None` if the matrix is singular, or if it or its inverse does not
+    /// Places a geometry that reaches as far as `support` says. `None` if the matrix is singular, or if it or its inverse does not
     /// fit f32: such a geometry cannot be hit.
     ///
     /// What the device sees is the geometry under the *inverse of the rounded* `local_from_world`, so the box is
     /// computed from that, and then widened by the rounding of the ray transform: each local coordinate of a point x is off
     /// by less than 4 ulp of `|local_from_world| |x| + |translation|`, which the inverse takes back to the world.
-    pub(super) fn new(world_from_local: &DAffine3, origin: DVec3, bounds: &Aabb) -> Option<Self> {
+    pub(super) fn new(world_from_local: &DAffine3, origin: DVec3, support: &Support) -> Option<Self> {
         let mut relative = *world_from_local;
         relative.translation -= origin;
         let determinant = relative.matrix3.determinant();
@@ -40,7 +41,7 @@ impl Placement {
             return None;
         }
 
-        let world = crate::math::Bounds::from(*bounds).transformed(&effective);
+        let world = support.world_bounds(&effective);
         let corner = world.min.abs().max(world.max.abs());
         let local_error = device.matrix3.abs() * corner + device.translation.abs();
         let slack = effective.matrix3.abs() * local_error * (4.0 * f64::from(f32::EPSILON));

@@ -117,6 +117,9 @@ impl ChangeLog {
 
     /// What changed since the cursor's last read of this scene. Moves the cursor.
     pub(super) fn read(&mut self, scene: SceneId, cursor: &mut Cursor) -> Changes {
+        if self.has_read_all(scene, cursor) {
+            return Changes::Since(Vec::new());
+        }
         self.forget_dropped_cursors();
         let now = self.begin_segment();
         let changes = match &cursor.subscription {
@@ -133,6 +136,13 @@ impl ChangeLog {
         };
         self.merge_between_cursors();
         changes
+    }
+
+    fn has_read_all(&self, scene: SceneId, cursor: &Cursor) -> bool {
+        let (Some(open), Some((subscribed, position))) = (self.segments.back(), &cursor.subscription) else {
+            return false;
+        };
+        *subscribed == scene && open.start == position.load(Ordering::Relaxed) && open.entries.is_empty()
     }
 
     /// Allocates what recording changes of objects up to these takes.

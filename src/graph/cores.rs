@@ -2,7 +2,7 @@
 
 use super::changes::Change;
 use super::core::CoreSlot;
-use super::ranges::check_core;
+use super::ranges::{check_core, check_transform};
 use super::scene::stale;
 use super::{Core, CoreKey, CoreSource, NodeKey, Scene, Transform};
 use crate::{Error, Result};
@@ -143,8 +143,25 @@ impl Scene {
     /// # Errors
     /// As [`local`](Self::local); [`Error::OutOfRange`] if some number is not finite.
     pub fn set_local(&mut self, node: NodeKey, transform: impl Into<Transform>) -> Result<()> {
-        self.local(node)?;
-        self.edit_core(self.nodes[node].core, Core::Transform(transform.into()))
+        let transform = transform.into();
+        if self.local(node)? != transform {
+            self.edit_transform(self.nodes[node].core, transform)?;
+        }
+        Ok(())
+    }
+
+    /// Moves all users of a transform core. What [`edit_core`](Self::edit_core) does, without what it does for other cores.
+    fn edit_transform(&mut self, key: CoreKey, transform: Transform) -> Result<()> {
+        let local = check_transform(&transform)?;
+        let slot = &mut self.cores[key];
+        slot.core = Core::Transform(transform);
+        let mut next = slot.first_user;
+        while let Some(user) = next {
+            self.hierarchy.node_moved(user, &local);
+            next = self.nodes[user].next_user;
+        }
+        self.record(key, Change::TRANSFORM);
+        Ok(())
     }
 
     /// The key of a source, which exists afterwards.

@@ -3,18 +3,18 @@
 use std::f32::consts::{FRAC_PI_2, PI};
 use std::fmt::Debug;
 
-use super::{AlphaMode, Billboard, Camera, Core, Light, LightKind, Lod, LodMeasure, Material, Texture, TextureRef};
+use glam::DAffine3;
+
+use super::{
+    AlphaMode, Billboard, Camera, Core, Light, LightKind, Lod, LodMeasure, Material, Texture, TextureRef, Transform,
+};
 use crate::{Error, Result};
 
 /// Checks the numbers in a core, not the keys.
 pub(super) fn check_core(core: &Core) -> Result<()> {
     match core {
         Core::Group | Core::Switch(_) | Core::MaterialGroup(_) | Core::Instance(_) | Core::Geometry { .. } => Ok(()),
-        // The matrix too: finite factors can have an infinite product.
-        Core::Transform(transform) => {
-            let finite = transform.is_finite() && transform.to_affine().is_finite();
-            require(finite, "transform", transform, "finite")
-        }
+        Core::Transform(transform) => check_transform(transform).map(drop),
         Core::Lod(lod) => check_lod(lod),
         Core::Billboard(Billboard::Free) => Ok(()),
         Core::Billboard(Billboard::Axis(axis)) => {
@@ -24,6 +24,13 @@ pub(super) fn check_core(core: &Core) -> Result<()> {
         Core::Light(light) => check_light(light),
         Core::Camera(camera) => check_camera(camera),
     }
+}
+
+/// Checks the numbers in a transform. Returns its matrix, which is finite too: finite factors can have an infinite product.
+pub(super) fn check_transform(transform: &Transform) -> Result<DAffine3> {
+    let affine = transform.to_affine();
+    require(transform.is_finite() && affine.is_finite(), "transform", transform, "finite")?;
+    Ok(affine)
 }
 
 fn check_lod(lod: &Lod) -> Result<()> {

@@ -35,8 +35,9 @@ use crate::{Error, Result};
 
 /// Asks a scene, in world space. Never stale: the scene cannot be edited meanwhile.
 ///
-/// Only what can be seen is found: nodes that are visible, chosen by their switches and levels of detail, whose mask shares a bit with that of the [queries](Self::with_mask), with a
-/// matrix that can be inverted. Rays see what camera rays see; the other queries see both sides of every triangle, and no holes.
+/// Only what can be seen is found: nodes that are visible, chosen by their switches and levels of detail, with a mask that
+/// shares a bit with that of the [queries](Self::with_mask) and a matrix that can be inverted. Rays see what camera rays see;
+/// the other queries see both sides of every triangle, and no holes.
 ///
 /// ```
 /// use ropewalk::glam::{DVec3, Vec3};

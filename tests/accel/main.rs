@@ -10,3 +10,4 @@ mod quality;
 mod structure;
 mod top_level;
 mod top_level_updates;
+mod world_boxes;

@@ -7,6 +7,7 @@ use ropewalk::{
     Bounds, Camera, DeviceChoice, Error, Queries, Ray, Region, Renderer, RendererOptions, Result, Scene, View,
 };
 
+#[expect(clippy::needless_pass_by_value, reason = "a result is asked once")]
 fn is_out_of_range<T>(result: Result<T>, expected: &str) -> bool {
     matches!(result, Err(Error::OutOfRange { what, .. }) if what == expected)
 }
@@ -44,7 +45,7 @@ fn pixels_outside_the_image_are_typed_errors() {
         assert!(is_out_of_range(renderer.pick(&mut scene, &view, pixel), "pixel"));
     }
     assert!(renderer.pick(&mut scene, &view, [39, 29]).unwrap().is_none());
-    for (columns, rows) in [(0..41, 0..30), (0..40, 10..31), (5..5, 0..1), (0..1, u32::MAX..0)] {
+    for (columns, rows) in [(0..41, 0..30), (0..40, 10..31), (5..5, 0..1), (0..1, u32::MAX..u32::MAX)] {
         assert!(is_out_of_range(view.frustum_of(columns, rows), "pixel"));
     }
     assert!(is_out_of_range(View { height: 0, ..view.clone() }.frustum(), "pixel"));

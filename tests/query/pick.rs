@@ -6,8 +6,8 @@ use glam::{DQuat, DVec3, Vec2, Vec3, Vec4};
 use ropewalk::graph::AlphaMode;
 use ropewalk::query::Overlap;
 use ropewalk::{
-    Camera, Core, DeviceChoice, Geometry, Material, NodeKey, Queries, Ray, Region, Renderer, RendererOptions, Scene,
-    Transform, View,
+    Camera, Core, DeviceChoice, Geometry, Lod, Material, NodeKey, Queries, Ray, Region, Renderer, RendererOptions,
+    Scene, Transform, View,
 };
 
 use crate::kernel_support::{Mesh, Random};
@@ -129,6 +129,30 @@ fn picking_catches_up_with_the_scene() {
         }
     }
     assert!(removed.len() > 3, "{removed:?}");
+}
+
+/// Levels of detail by the size that the view gives them, and billboards: what the view draws is what is picked, and what is
+/// asked after that.
+#[test]
+fn queries_see_the_levels_that_were_drawn() {
+    let mut scene = Scene::new();
+    let mesh = Mesh::cube();
+    let geometry = scene.add_geometry(Geometry::new(mesh.positions, mesh.indices)).unwrap();
+    let material = scene.add_material(Material::default()).unwrap();
+    let core = scene.add_core(Core::Geometry { geometry, material }).unwrap();
+    let lod = scene.add(scene.root(), Lod::by_projected_size(2.0, [0.5])).unwrap();
+    let levels = [scene.add(lod, core).unwrap(), scene.add(lod, core).unwrap()];
+    let mut renderer = renderer(DeviceChoice::Cpu);
+    let ray = Ray::new(DVec3::new(0.1, 0.2, 9.0), DVec3::NEG_Z);
+    for (y_fov, level) in [(0.3, levels[0]), (1.5, levels[1]), (0.3, levels[0])] {
+        let camera = Camera::perspective(y_fov);
+        let view = View::look_at(DVec3::Z * 9.0, DVec3::ZERO, DVec3::Y, camera, 33, 33);
+        let picked = renderer.pick(&mut scene, &view, [16, 16]).unwrap().unwrap();
+        let frame = renderer.render(&mut scene, &View { aovs: true, ..view }).unwrap();
+        let drawn = frame.image().unwrap().aovs.unwrap().node[16 * 33 + 16];
+        let found = renderer.queries(&mut scene).unwrap().closest(&ray).unwrap().unwrap();
+        assert_eq!([picked.path.node, drawn, found.path.node], [level; 3]);
+    }
 }
 
 /// What is seen through some pixels lies in their frustum; all that lies in there is found.

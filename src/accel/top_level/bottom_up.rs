@@ -16,8 +16,8 @@ use crate::math::Aabb;
 const TASK_MINIMUM: usize = 1 << 13;
 
 /// Computes all boxes anew, those of the leaves from `boxes`, and marks the nodes between the first and the last change of
-/// each task. O(n), on all threads of the current rayon pool.
-pub(super) fn refit(nodes: &mut DeviceBuffer<Node>, boxes: &[Aabb]) -> Areas {
+/// each task. Returns the areas, and whether any node changed. O(n), on all threads of the current rayon pool.
+pub(super) fn refit(nodes: &mut DeviceBuffer<Node>, boxes: &[Aabb]) -> (Areas, bool) {
     // 1. Subtrees, side by side.
     let (upper, tasks) = tasks(nodes);
     let mut rest = nodes.unmarked_mut();
@@ -31,11 +31,12 @@ pub(super) fn refit(nodes: &mut DeviceBuffer<Node>, boxes: &[Aabb]) -> Areas {
     }
     let refitted: Vec<Refitted> =
         slices.into_par_iter().map(|(start, slice)| refit_subtree(slice, start, boxes)).collect();
-    let mut areas = Areas::default();
+    let (mut areas, mut has_changed) = (Areas::default(), false);
     for subtree in refitted {
         areas.add(subtree.areas);
         if !subtree.changed.is_empty() {
             nodes.mark(subtree.changed);
+            has_changed = true;
         }
     }
     // 2. What is above them.
@@ -46,7 +47,7 @@ pub(super) fn refit(nodes: &mut DeviceBuffer<Node>, boxes: &[Aabb]) -> Areas {
             areas.add_node(&node);
         }
     }
-    areas
+    (areas, has_changed)
 }
 
 /// Splits a hierarchy into subtrees of some size, and the inner nodes above them; both ascending.
@@ -74,30 +75,49 @@ struct Refitted {
 
 /// `start` is the index of the subtree's root in the whole array.
 fn refit_subtree(nodes: &mut [Node], start: usize, boxes: &[Aabb]) -> Refitted {
-    let mut areas = Areas::default();
-    let (mut first, mut end) = (nodes.len(), 0);
+    let mut refitted = Refitted { areas: Areas::default(), changed: nodes.len()..0 };
+    // 1. Leaves, listed first: boxes come from all over memory, and without a branch between them many are on their way at once.
+    let mut listed = [0; TASK_MINIMUM];
+    let mut leaf_count = 0;
+    for (index, node) in nodes.iter().enumerate() {
+        listed[leaf_count] = index as u32;
+        leaf_count += usize::from(node.primitives != PrimitiveRange::INNER);
+    }
+    for &index in &listed[..leaf_count] {
+        let old = nodes[index as usize];
+        let slot = old.primitives.first();
+        let bounds = leaves::finite(boxes, slot);
+        let node = bounds.map_or(old, |bounds| flatten::leaf(slot, &bounds, old.escape_index));
+        refitted.areas.add_node(&node);
+        refitted.write(nodes, index as usize, &node);
+    }
+    // 2. Inner nodes, children before parents.
     for index in (0..nodes.len()).rev() {
         let old = nodes[index];
-        let node = if old.primitives != PrimitiveRange::INNER {
-            let slot = old.primitives.first();
-            leaves::finite(boxes, slot).map_or(old, |bounds| flatten::leaf(slot, &bounds, old.escape_index))
-        } else if old.escape_index as usize == start + index + 1 || index + 1 == nodes.len() {
-            // An unused leaf; the last one of all may have no escape index to tell it by.
+        // An unused leaf is the last of its subtree, which an inner node never is.
+        let is_unused = old.escape_index as usize == start + index + 1 || index + 1 == nodes.len();
+        if old.primitives != PrimitiveRange::INNER || is_unused {
             continue;
-        } else {
-            let second = nodes[index + 1].escape_index as usize - start;
-            around(&old, &nodes[index + 1], &nodes[second])
-        };
-        if start + index > 0 || node.primitives != PrimitiveRange::INNER {
-            areas.add_node(&node);
         }
-        if node != old {
-            nodes[index] = node;
-            first = index;
-            end = end.max(index + 1);
+        let second = nodes[index + 1].escape_index as usize - start;
+        let node = around(&old, &nodes[index + 1], &nodes[second]);
+        if start + index > 0 {
+            refitted.areas.add_node(&node);
+        }
+        refitted.write(nodes, index, &node);
+    }
+    refitted.changed = start + refitted.changed.start..start + refitted.changed.end;
+    refitted
+}
+
+impl Refitted {
+    #[inline]
+    fn write(&mut self, nodes: &mut [Node], index: usize, node: &Node) {
+        if nodes[index] != *node {
+            nodes[index] = *node;
+            self.changed = self.changed.start.min(index)..self.changed.end.max(index + 1);
         }
     }
-    Refitted { areas, changed: start + first..start + end }
 }
 
 /// An inner node with the box around its children.

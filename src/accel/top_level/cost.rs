@@ -77,7 +77,7 @@ impl Cost {
     /// gone. O(n) then.
     pub(super) fn settle(&mut self, nodes: &[Node]) {
         const MOST: f64 = 1e-7;
-        if self.error > MOST * self.areas.inner.min(self.areas.leaves) && nodes.len() > 3 {
+        if self.error > MOST * self.areas.inner.min(self.areas.leaves) {
             self.set(Areas::of(nodes));
         }
     }

@@ -1,9 +1,10 @@
 //! From merged clusters to device nodes in depth-first order.
 
 use super::bottom_up::around;
+use super::cluster::Tree;
 use super::cost::Areas;
 use super::leaves::Leaves;
-use super::ploc::Tree;
+
 use crate::accel::flatten::padded;
 use crate::device::layout::{NONE, Node, PrimitiveRange};
 use crate::math::Aabb;
@@ -79,7 +80,7 @@ impl Emitter<'_> {
     fn emit(&self, cluster: u32, place: Place, nodes: &mut [Node], parents: &mut [u32]) -> Areas {
         parents[0] = place.parent;
         let Some(link) = self.tree.link(cluster) else {
-            let (slot, bounds) = self.tree.leaf(cluster);
+            let (slot, bounds) = self.tree.instance(cluster);
             self.leaves.put(slot, place.index);
             nodes[0] = leaf(slot, &bounds, place.escape_index);
             return Areas::default();

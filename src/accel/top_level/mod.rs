@@ -10,11 +10,12 @@
 //! the next that comes (`leaves`). In a scene where that has happened, a rebuild leaves some room.
 
 mod bottom_up;
+mod cluster;
 mod cost;
 mod flatten;
 mod leaves;
 mod morton;
-mod ploc;
+mod radix;
 
 use std::collections::BinaryHeap;
 use std::fmt;
@@ -23,6 +24,7 @@ use serde::Serialize;
 
 use self::cost::Cost;
 use self::leaves::Leaves;
+use self::morton::Order;
 use super::stats::Stats;
 use super::validate::{StructureError, check_nodes};
 use crate::device::DeviceBuffer;
@@ -109,8 +111,8 @@ impl fmt::Display for Update {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Kept => f.write_str("kept"),
-            Self::Patched { instances, nodes } => write!(f, "patched ({instances} instances, {nodes} nodes)"),
-            Self::Refitted { instances } => write!(f, "refitted ({instances} instances)"),
+            Self::Patched { instances, nodes } => write!(f, "patched (instances: {instances}, nodes: {nodes})"),
+            Self::Refitted { instances } => write!(f, "refitted (instances: {instances})"),
             Self::Rebuilt(Rebuild::Empty) => f.write_str("built"),
             Self::Rebuilt(Rebuild::NoRoom) => f.write_str("rebuilt (no room for new instances)"),
             Self::Rebuilt(Rebuild::Sparse) => f.write_str("rebuilt (half empty)"),
@@ -125,7 +127,7 @@ impl TopLevel {
     pub const MAX_DECAY: f64 = 1.5;
 
     /// No hierarchy has more levels than this.
-    pub const MAX_DEPTH: usize = 93;
+    pub const MAX_DEPTH: usize = cluster::MAX_DEPTH + 1;
 
     /// Of `LEAVES_A_PATCH` leaves one may change, for patching to be worth it.
     const LEAVES_A_PATCH: usize = 16;
@@ -136,7 +138,7 @@ impl TopLevel {
     /// # Panics
     /// In debug builds, if there are 2^28 slots or more (34 GB of instances).
     pub fn build(&mut self, nodes: &mut DeviceBuffer<Node>, boxes: &[Aabb]) {
-        if boxes.len() < ploc::CHUNK {
+        if boxes.len() < cluster::TASK_MINIMUM {
             self.build_here(nodes, boxes);
         } else {
             // One entry into the pool, not one for each parallel loop.
@@ -147,9 +149,9 @@ impl TopLevel {
 
     fn build_here(&mut self, nodes: &mut DeviceBuffer<Node>, boxes: &[Aabb]) {
         // 1. Instances that are near each other in space become near each other in an array.
-        let clusters = morton::sorted(boxes);
+        let order = Order::new(boxes);
         // 2. Neighbours merge, until one cluster is left.
-        let tree = ploc::build(clusters);
+        let tree = cluster::build(order);
         // 3. Device nodes.
         let room = if self.leaves_room { leaves::room(tree.leaf_count()) } else { 0 };
         let len = flatten::node_count(&tree, room);
@@ -201,8 +203,13 @@ impl TopLevel {
         // 2. Inner nodes.
         let mut written = instances;
         if refits {
+            let some_came_or_went = !self.stale.is_empty();
             self.stale.clear();
-            self.cost.set(bottom_up::refit(nodes, boxes));
+            let (areas, has_moved) = bottom_up::refit(nodes, boxes);
+            self.cost.set(areas);
+            if !(some_came_or_went || has_moved) {
+                return Ok(Update::Kept);
+            }
         } else {
             written += self.update_ancestors(nodes);
         }

@@ -3,37 +3,74 @@
 use glam::{UVec4, Vec4};
 use rayon::prelude::*;
 
+use super::cluster::Cluster;
 use super::leaves::finite;
-use super::ploc::{CHUNK, Cluster};
-use crate::accel::tree::LaneBox;
+use super::radix;
+use crate::accel::tree::{Extent, LaneBox};
 use crate::math::Aabb;
 
-/// The slots with a box, along the curve; those at the same place of it by slot. O(n).
-pub(super) fn sorted(boxes: &[Aabb]) -> Vec<Cluster> {
-    // A key holds the place on the curve in its upper bits and the slot in its lower ones.
-    let slot_bits = usize::BITS - boxes.len().leading_zeros();
-    let axis_bits = ((u64::BITS - slot_bits) / 3).min(21);
-    let centers = centers(boxes);
-    let curve = Curve::new(&centers, axis_bits);
-    let chunks = boxes.par_chunks(CHUNK).enumerate();
-    let key = |slot: u32, bounds: &Aabb| curve.place(center(bounds)) << slot_bits | u64::from(slot);
-    let mut keys: Vec<u64> = chunks
-        .flat_map_iter(|(chunk, boxes)| {
-            let slots = (chunk * CHUNK) as u32..;
-            slots.zip(boxes).filter(|(_, b)| !b.is_empty()).map(move |(slot, b)| key(slot, b))
-        })
-        .collect();
-    keys.par_sort_unstable();
-    let slot_mask = (1 << slot_bits) - 1;
-    keys.par_iter()
-        .enumerate()
-        .with_min_len(CHUNK)
-        .map(|(place, key)| {
-            let slot = (key & slot_mask) as u32;
-            Cluster::leaf(&finite(boxes, slot).unwrap_or(Aabb::EMPTY), slot, place as u32)
-        })
-        .collect()
+/// The instances, along the curve; those at the same place of it by slot.
+pub(super) struct Order {
+    /// The place on the curve in the upper bits, and the slot in the lower ones. Ascending.
+    keys: Vec<u64>,
+    instances: Vec<Cluster>,
+    extent: Extent,
 }
+
+impl Order {
+    /// Of the slots with a box. O(n).
+    pub(super) fn new(boxes: &[Aabb]) -> Self {
+        let slot_bits = usize::BITS - boxes.len().leading_zeros();
+        let axis_bits = ((u64::BITS - slot_bits) / 3).min(21);
+        let extent = extent(boxes);
+        let curve = Curve::new(&extent.centers, axis_bits);
+        let key = |(slot, bounds): (usize, &Aabb)| match bounds.is_empty() {
+            true => NO_KEY,
+            false => curve.place(center(bounds)) << slot_bits | slot as u64,
+        };
+        let mut keys: Vec<u64> = boxes.par_iter().enumerate().with_min_len(CHUNK).map(key).collect();
+        radix::sort(&mut keys, slot_bits);
+        keys.retain(|&key| key != NO_KEY);
+        let slot_mask = (1 << slot_bits) - 1;
+        let instance = |key: &u64| {
+            let slot = (key & slot_mask) as u32;
+            Cluster::instance(&finite(boxes, slot).unwrap_or(Aabb::EMPTY), slot)
+        };
+        let instances = keys.par_iter().with_min_len(CHUNK).map(instance).collect();
+        Self { keys, instances, extent }
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.keys.len()
+    }
+
+    pub(super) fn instances(&self) -> &[Cluster] {
+        &self.instances
+    }
+
+    pub(super) fn into_instances(self) -> Vec<Cluster> {
+        self.instances
+    }
+
+    /// Where the range from `first` to `end`, of two instances or more, is halved: the curve goes from one half of a box to the
+    /// other.
+    pub(super) fn split(&self, first: usize, end: usize) -> usize {
+        let keys = &self.keys[first..end];
+        let highest = (keys[0] ^ keys[keys.len() - 1]).ilog2();
+        first + keys.partition_point(|key| (key ^ keys[0]) >> highest == 0)
+    }
+
+    /// The boxes around all boxes and around all centres, the latter halved.
+    pub(super) fn extent(&self) -> &Extent {
+        &self.extent
+    }
+}
+
+/// Of a slot without a box. No other key is the same: no slot has all of its bits set.
+const NO_KEY: u64 = u64::MAX;
+
+/// Boxes that one thread takes at a time.
+const CHUNK: usize = 1 << 12;
 
 /// A quarter of the sum of the corners: nothing overflows, not even the difference of two. The fourth lane is 0.
 fn center(bounds: &Aabb) -> Vec4 {
@@ -42,13 +79,15 @@ fn center(bounds: &Aabb) -> Vec4 {
     min * 0.25 + max * 0.25
 }
 
-/// The box around all centres.
-fn centers(boxes: &[Aabb]) -> LaneBox {
+/// The boxes around all boxes and around all centres.
+fn extent(boxes: &[Aabb]) -> Extent {
     let of_chunk = |boxes: &[Aabb]| {
-        let used = boxes.iter().filter(|b| !b.is_empty());
-        used.fold(LaneBox::EMPTY, |sum, b| sum.with_point(center(b)))
+        boxes.iter().filter(|b| !b.is_empty()).fold(Extent::EMPTY, |sum, b| {
+            let bounds = LaneBox { min: b.min.extend(0.0), max: b.max.extend(0.0) };
+            sum.union(Extent { bounds, centers: LaneBox { min: center(b), max: center(b) } })
+        })
     };
-    boxes.par_chunks(CHUNK).map(of_chunk).reduce(|| LaneBox::EMPTY, LaneBox::union)
+    boxes.par_chunks(CHUNK).map(of_chunk).reduce(|| Extent::EMPTY, Extent::union)
 }
 
 /// A curve through a box.

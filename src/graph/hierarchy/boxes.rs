@@ -40,9 +40,7 @@ impl Boxes {
         let mut dirty = std::mem::take(&mut self.dirty);
         for level in 0..self.levels.len() {
             let mut above = BitSet::default();
-            let mut start = 0;
-            while let Some(block) = dirty.pop_from(start) {
-                start = block + 1;
+            for block in dirty.drain() {
                 let children = block * FAN_OUT..(block + 1) * FAN_OUT;
                 let bounds = match level.checked_sub(1) {
                     None => union(children.start..children.end.min(entry_count), &entry_box),

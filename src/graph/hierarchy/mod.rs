@@ -16,6 +16,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::ops::Range;
 
 use glam::DAffine3;
+use rayon::prelude::*;
 use slotmap::{Key, SecondaryMap};
 
 use self::boxes::Boxes;
@@ -229,17 +230,38 @@ impl Hierarchy {
     /// The ranges of these entries and all below them, sorted and disjoint. O(n log n) of the entries given and the
     /// grafts below them.
     pub fn subtrees(&self, entries: impl IntoIterator<Item = usize>) -> Vec<Range<usize>> {
-        let mut starts: BTreeSet<usize> = entries.into_iter().collect();
-        let mut ranges: Vec<Range<usize>> = Vec::new();
+        let mut entries: Vec<usize> = entries.into_iter().collect();
+        entries.par_sort_unstable();
+        self.subtrees_from(entries)
+    }
+
+    /// The same for entries in ascending order. Ranges that touch are one, unless the second is a graft.
+    fn subtrees_from(&self, entries: impl IntoIterator<Item = usize>) -> Vec<Range<usize>> {
+        let mut entries = entries.into_iter().peekable();
         // Grafts lie behind what they are grafted to.
-        while let Some(start) = starts.pop_first() {
-            if ranges.last().is_none_or(|last| start >= last.end) {
-                let range = start..self.ends[start] as usize;
-                starts.extend(self.grafts_below(range.clone()));
-                ranges.push(range);
+        let mut grafts: BTreeSet<usize> = BTreeSet::new();
+        let mut ranges: Vec<Range<usize>> = Vec::new();
+        while let Some(start) = match (grafts.first(), entries.peek()) {
+            (Some(graft), Some(entry)) if graft <= entry => grafts.pop_first(),
+            (Some(_), None) => grafts.pop_first(),
+            _ => entries.next(),
+        } {
+            let range = start..self.ends[start] as usize;
+            match ranges.last_mut() {
+                Some(last) if start < last.end => continue,
+                Some(last) if start == last.end && (self.grafts.is_empty() || !self.is_graft(start)) => last.end = range.end,
+                _ => ranges.push(range.clone()),
+            }
+            if !self.grafts.is_empty() {
+                grafts.extend(self.grafts_below(range));
             }
         }
         ranges
+    }
+
+    /// Whether the entry stands apart from its parent's range.
+    fn is_graft(&self, entry: usize) -> bool {
+        self.ends.get(self.parents[entry] as usize).is_some_and(|&end| end as usize <= entry)
     }
 
     /// The starts of the grafts that are attached to entries in a range.

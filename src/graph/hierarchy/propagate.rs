@@ -7,15 +7,18 @@ use rayon::prelude::*;
 
 use super::{Hierarchy, Own, Placed};
 
-/// Ranges of fewer entries are computed by one thread: waking others costs more.
-const PARALLEL_MINIMUM: usize = 1 << 14;
+/// Less work is done by one thread: waking others costs more.
+const PARALLEL_MINIMUM: usize = 1 << 13;
+
+/// A range costs as much as so many entries: none of its lines is in a cache.
+const RANGE_WORK: usize = 8;
 
 impl Placed {
     /// What the root inherits.
     pub(super) const NOWHERE: Self = Self { world: DAffine3::IDENTITY, material: None, mask: u32::MAX, visible: true };
 
     /// Where an entry is whose parent is here.
-    #[inline]
+    #[inline(always)]
     fn place(&self, own: &Own) -> Self {
         Self {
             world: if own.has_transform { self.world * own.local } else { self.world },
@@ -30,95 +33,155 @@ impl Placed {
 impl Hierarchy {
     /// Computes the subtrees of all dirty entries, each entry once.
     pub(super) fn propagate_dirty(&mut self) {
-        let (mut start, mut done) = (0, 0);
-        while let Some(entry) = self.pending.dirty.pop_from(start) {
-            start = entry + 1;
-            if entry < done {
-                continue;
-            }
-            let range = entry..self.ends[entry] as usize;
-            done = range.end;
-            self.propagate(range.clone());
-            if !self.grafts.is_empty() {
-                let grafts: Vec<usize> = self.grafts_below(range.clone()).collect();
-                // They lie ahead: grafts stand behind what they are grafted to.
-                grafts.into_iter().for_each(|graft| self.pending.dirty.insert(graft));
-            }
-            if let Some(boxes) = &mut self.boxes {
-                boxes.range_changed(range);
-            }
+        let mut dirty = std::mem::take(&mut self.pending.dirty);
+        let ranges = self.subtrees_from(dirty.drain());
+        self.pending.dirty = dirty;
+        if let Some(boxes) = &mut self.boxes {
+            ranges.iter().for_each(|range| boxes.range_changed(range.clone()));
+        }
+        let mut rest = &ranges[..];
+        while !rest.is_empty() {
+            let (batch, after) = rest.split_at(self.independent(rest));
+            self.propagate(batch);
+            rest = after;
         }
     }
 
-    /// Computes a range whose entries have their parents in it or before it, where they are right.
-    fn propagate(&mut self, range: Range<usize>) {
-        if range.len() < PARALLEL_MINIMUM {
-            for entry in range {
-                self.placed[entry] = self.inherited(entry).place(&self.own[entry]);
-            }
+    /// How many of these ranges, from the first on, have no parents in another of them. Only grafts have.
+    fn independent(&self, ranges: &[Range<usize>]) -> usize {
+        if self.grafts.is_empty() {
+            return ranges.len();
+        }
+        let is_in = |parent: usize, before: &[Range<usize>]| {
+            let following = before.partition_point(|range| range.end <= parent);
+            before.get(following).is_some_and(|range| range.start <= parent)
+        };
+        let depends = |&i: &usize| is_in(self.parents[ranges[i].start] as usize, &ranges[..i]);
+        (1..ranges.len()).find(depends).unwrap_or(ranges.len())
+    }
+
+    /// Computes ranges, ascending and disjoint, whose entries have their parents in the same range or in none.
+    fn propagate(&mut self, ranges: &[Range<usize>]) {
+        let work = ranges.iter().map(ExactSizeIterator::len).sum::<usize>() + RANGE_WORK * ranges.len();
+        if work < PARALLEL_MINIMUM {
+            let mut all = self.all();
+            ranges.iter().for_each(|range| all.place(range.clone(), |_| Placed::NOWHERE));
         } else {
-            self.propagate_parallel(range);
+            self.propagate_parallel(ranges, work / (8 * rayon::current_num_threads()) + 1);
         }
     }
 
-    fn inherited(&self, entry: usize) -> Placed {
-        match self.parents[entry] {
-            Self::NO_PARENT => Placed::NOWHERE,
-            parent => self.placed[parent as usize],
-        }
+    /// All entries.
+    fn all(&mut self) -> Slice<'_> {
+        Slice { first: 0, own: &self.own, parents: &self.parents, placed: &mut self.placed }
     }
 
-    /// The large subtrees' tops here, the small subtrees in runs, side by side.
-    fn propagate_parallel(&mut self, range: Range<usize>) {
-        let run_length = range.len() / (8 * rayon::current_num_threads()) + 1;
-        let mut runs: Vec<Range<usize>> = Vec::new();
-        // Those that runs may refer to, in ascending order.
-        let mut tops: Vec<(u32, Placed)> = Vec::new();
-        if self.parents[range.start] != Self::NO_PARENT {
-            tops.push((self.parents[range.start], self.inherited(range.start)));
-        }
-        let mut entry = range.start;
-        while entry < range.end {
-            let end = self.ends[entry] as usize;
-            if end - entry > run_length {
-                self.placed[entry] = self.inherited(entry).place(&self.own[entry]);
-                tops.push((entry as u32, self.placed[entry]));
-                entry += 1;
-                continue;
+    /// Large subtrees' tops here, the small subtrees in jobs of about so much work, side by side.
+    fn propagate_parallel(&mut self, ranges: &[Range<usize>], job_work: usize) {
+        let mut jobs: Vec<Job> = Vec::new();
+        for range in ranges {
+            let mut start = range.start;
+            while start < range.end {
+                let is_large = |entry: &usize| self.ends[*entry] as usize - entry > job_work;
+                let tops = start..start + (start..range.end).take_while(is_large).count();
+                start = tops.end;
+                self.all().place(tops, |_| Placed::NOWHERE);
+                if jobs.last().is_none_or(|job| job.work >= job_work) {
+                    jobs.push(Job::new(start));
+                }
+                if let Some(job) = jobs.last_mut() {
+                    start = job.take(start..range.end, job_work, self);
+                }
             }
-            match runs.last_mut() {
-                Some(run) if run.end == entry && end - run.start <= run_length => run.end = end,
-                _ => runs.push(entry..end),
-            }
-            entry = end;
         }
 
         let mut rest = &mut self.placed[..];
         let mut rest_start = 0;
-        let mut jobs = Vec::with_capacity(runs.len());
-        for run in runs {
-            let (_, from_run) = rest.split_at_mut(run.start - rest_start);
-            let (placed, after) = from_run.split_at_mut(run.len());
-            (rest, rest_start) = (after, run.end);
-            jobs.push((run, placed));
+        let mut slices = Vec::with_capacity(jobs.len());
+        for job in &jobs {
+            let first = job.first;
+            let end = job.ranges.last().map_or(first, |range| range.end);
+            let (_, from_first) = rest.split_at_mut(first - rest_start);
+            let (placed, after) = from_first.split_at_mut(end - first);
+            (rest, rest_start) = (after, end);
+            slices.push(Slice { first, own: &self.own, parents: &self.parents, placed });
         }
-        let (own, parents) = (&self.own, &self.parents);
-        jobs.into_par_iter().for_each(|(run, placed)| {
-            let mut above = (Self::NO_PARENT, Placed::NOWHERE);
-            for (entry, i) in run.clone().zip(0..) {
-                let parent = parents[entry];
-                let inherited = if parent as usize >= run.start && parent != Self::NO_PARENT {
-                    placed[parent as usize - run.start]
-                } else {
-                    if parent != above.0
-                        && let Ok(top) = tops.binary_search_by_key(&parent, |top| top.0)
-                    {
-                        above = tops[top];
+        jobs.into_par_iter().zip(slices).with_max_len(1).for_each(|(job, mut slice)| {
+            let mut above = job.above.into_iter();
+            let mut last = (Self::NO_PARENT, Placed::NOWHERE);
+            for range in job.ranges {
+                slice.place(range, |parent| {
+                    if parent != last.0 {
+                        last = (parent, above.next().unwrap_or(Placed::NOWHERE));
                     }
-                    above.1
-                };
-                placed[i] = inherited.place(&own[entry]);
+                    last.1
+                });
             }
         });
+    }
+}
+
+/// Some of the subtrees to compute, next to each other.
+struct Job {
+    /// The first entry.
+    first: usize,
+    ranges: Vec<Range<usize>>,
+    work: usize,
+    /// The parents before the first entry, in the order in which the ranges refer to them.
+    above: Vec<Placed>,
+    last_above: u32,
+}
+
+impl Job {
+    fn new(first: usize) -> Self {
+        Self { first, ranges: Vec::new(), work: 0, above: Vec::new(), last_above: Hierarchy::NO_PARENT }
+    }
+
+    /// Takes on subtrees from the start of a range, until that ends, a large one follows, or it is work enough. Returns the
+    /// start of what is left.
+    fn take(&mut self, range: Range<usize>, job_work: usize, hierarchy: &Hierarchy) -> usize {
+        let mut end = range.start;
+        while end < range.end && self.work + (end - range.start) < job_work {
+            let next = hierarchy.ends[end] as usize;
+            if next - end > job_work {
+                break;
+            }
+            let parent = hierarchy.parents[end];
+            if parent != self.last_above && (parent as usize) < self.first {
+                self.last_above = parent;
+                self.above.push(hierarchy.placed[parent as usize]);
+            }
+            end = next;
+        }
+        self.work += end - range.start + RANGE_WORK;
+        self.ranges.push(range.start..end);
+        end
+    }
+}
+
+/// Entries from `first` on, of all of which the own values are known.
+struct Slice<'a> {
+    first: usize,
+    own: &'a [Own],
+    parents: &'a [u32],
+    placed: &'a mut [Placed],
+}
+
+impl Slice<'_> {
+    /// Computes a range of them. `above` tells what is inherited from a parent that is not among them, and for the root.
+    fn place(&mut self, range: Range<usize>, mut above: impl FnMut(u32) -> Placed) {
+        let mut last = (Hierarchy::NO_PARENT, Placed::NOWHERE);
+        for entry in range {
+            let parent = self.parents[entry];
+            // In a chain, what was just computed is still in registers.
+            let inherited = if parent == last.0 {
+                last.1
+            } else {
+                let known = (parent as usize).checked_sub(self.first).and_then(|i| self.placed.get(i));
+                known.copied().unwrap_or_else(|| above(parent))
+            };
+            last = (entry as u32, inherited.place(&self.own[entry]));
+            self.placed[entry - self.first] = last.1;
+        }
     }
 }

@@ -32,16 +32,22 @@ impl Hierarchy {
 
     /// The node's own transform, mask, visibility or material is another. O(its entries).
     pub(in crate::graph) fn node_changed(&mut self, key: NodeKey, node: &Node, core: &Core) {
+        self.change_own(key, |own| own.read(node, core));
+    }
+
+    /// The node's own transform is another one. O(its entries).
+    pub(in crate::graph) fn node_moved(&mut self, key: NodeKey, local: &DAffine3) {
+        self.change_own(key, |own| own.local = *local);
+    }
+
+    #[inline]
+    fn change_own(&mut self, key: NodeKey, change: impl Fn(&mut Own)) {
         if !self.pending.is_built {
             return;
         }
-        // Most nodes have one entry.
-        if let Some(&entry) = self.first_entries.get(key) {
-            self.own[entry as usize].read(node, core);
-            self.pending.dirty.insert(entry as usize);
-        }
-        for &entry in self.more_entries.get(&key).into_iter().flatten() {
-            self.own[entry as usize].read(node, core);
+        let more = self.more_entries.get(&key).into_iter().flatten();
+        for &entry in self.first_entries.get(key).into_iter().chain(more) {
+            change(&mut self.own[entry as usize]);
             self.pending.dirty.insert(entry as usize);
         }
     }

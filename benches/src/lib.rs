@@ -1,0 +1,139 @@
+//! What the benchmarks share: options, alternating measurement, tables, goals.
+//!
+//! A figure is a median of several samples, and what counts is the ratio of two figures of one run: everything that is
+//! compared runs in turns, so that whatever else the machine does hits all of them alike.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::{Duration, Instant};
+
+use clap::Parser;
+use comfy_table::Table;
+use comfy_table::presets::ASCII_MARKDOWN;
+
+/// The options that every benchmark takes.
+#[derive(Clone, Debug, Parser)]
+pub struct Options {
+    /// Smaller sizes and fewer samples: under a minute.
+    #[arg(long)]
+    pub quick: bool,
+    /// Write the table to this file, comma-separated.
+    #[arg(long, value_name = "FILE")]
+    pub csv: Option<PathBuf>,
+    /// Exit with an error if a goal is missed.
+    #[arg(long)]
+    pub strict: bool,
+    /// Given by `cargo bench`, without meaning here.
+    #[arg(long, hide = true)]
+    bench: bool,
+}
+
+/// A thing to measure: prepares what it needs, and returns how long the rest took.
+pub type Contender<'a> = Box<dyn FnMut() -> Duration + 'a>;
+
+/// Runs the contenders in turns, `samples` times each after one that does not count, and returns their medians.
+pub fn medians(samples: usize, contenders: &mut [Contender<'_>]) -> Vec<Duration> {
+    let mut times = vec![Vec::with_capacity(samples); contenders.len()];
+    for sample in 0..=samples {
+        for (contender, times) in contenders.iter_mut().zip(&mut times) {
+            let time = contender();
+            if sample > 0 {
+                times.push(time);
+            }
+        }
+    }
+    times.into_iter().map(median).collect()
+}
+
+/// The middle one of several durations; 0 of none.
+pub fn median(mut times: Vec<Duration>) -> Duration {
+    times.sort_unstable();
+    times.get(times.len() / 2).copied().unwrap_or_default()
+}
+
+/// How long a function takes. Its result is dropped after the clock has stopped.
+pub fn time<T>(function: impl FnOnce() -> T) -> Duration {
+    let start = Instant::now();
+    let result = std::hint::black_box(function());
+    let elapsed = start.elapsed();
+    drop(result);
+    elapsed
+}
+
+/// A duration in milliseconds, with three digits that mean something.
+pub fn milliseconds(time: Duration) -> String {
+    let value = time.as_secs_f64() * 1e3;
+    let decimals = (2.0 - value.max(1e-9).log10().floor()).clamp(0.0, 6.0) as usize;
+    format!("{value:.decimals$}")
+}
+
+/// How a measured figure is to compare with its target.
+#[derive(Clone, Copy, Debug)]
+pub enum Target {
+    /// At least this.
+    AtLeast(f64),
+    /// At most this.
+    AtMost(f64),
+}
+
+/// What a benchmark has found: a table, and goals reached or missed.
+pub struct Report {
+    header: Vec<&'static str>,
+    rows: Vec<Vec<String>>,
+    goals: Vec<(String, f64, Target, &'static str)>,
+}
+
+impl Report {
+    /// An empty table with these columns.
+    pub fn new(header: &[&'static str]) -> Self {
+        Self { header: header.to_vec(), rows: Vec::new(), goals: Vec::new() }
+    }
+
+    /// Adds a row.
+    pub fn row(&mut self, cells: impl IntoIterator<Item = String>) {
+        self.rows.push(cells.into_iter().collect());
+    }
+
+    /// Adds a goal: `measured` in `unit` against its target.
+    pub fn goal(&mut self, name: impl Into<String>, measured: f64, target: Target, unit: &'static str) {
+        self.goals.push((name.into(), measured, target, unit));
+    }
+
+    /// Prints everything, writes the file asked for, and says how the program is to end.
+    pub fn finish(&self, options: &Options) -> ExitCode {
+        println!("{}\n", machine());
+        let mut table = Table::new();
+        table.load_style(ASCII_MARKDOWN);
+        table.set_header(&self.header).add_rows(&self.rows);
+        println!("{table}\n");
+        if let Some(path) = &options.csv
+            && let Err(error) = std::fs::write(path, self.csv())
+        {
+            eprintln!("{}: {error}", path.display());
+            return ExitCode::FAILURE;
+        }
+        let mut all_reached = true;
+        for (name, measured, target, unit) in &self.goals {
+            let (reached, sign, target) = match *target {
+                Target::AtLeast(target) => (*measured >= target, ">=", target),
+                Target::AtMost(target) => (*measured <= target, "<=", target),
+            };
+            all_reached &= reached;
+            println!("GOAL {name} {measured:.3} {sign} {target} {unit} {}", if reached { "PASS" } else { "FAIL" });
+        }
+        if options.strict && !all_reached { ExitCode::FAILURE } else { ExitCode::SUCCESS }
+    }
+
+    fn csv(&self) -> String {
+        let header = self.header.join(",");
+        self.rows.iter().fold(header + "\n", |csv, row| csv + &row.join(",") + "\n")
+    }
+}
+
+/// The processor, as the system names it, and how many threads there are.
+fn machine() -> String {
+    let cpu_info = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let model = cpu_info.lines().find_map(|line| line.strip_prefix("model name")?.split_once(": "));
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    format!("{}, {threads} threads, {}", model.map_or(std::env::consts::ARCH, |(_, name)| name), std::env::consts::OS)
+}
