@@ -29,8 +29,19 @@ const ONE_BYTES: f64 = 1000.0;
 const UNCHANGED_MICROSECONDS: f64 = 1.0;
 
 const HEADER: [&str; 13] = [
-    "nodes", "shape", "edit", "count", "who", "edit ms", "propagate ms", "times ours", "compile ms", "top level ms",
-    "ready ms", "bytes", "top level",
+    "nodes",
+    "shape",
+    "edit",
+    "count",
+    "who",
+    "edit ms",
+    "propagate ms",
+    "times ours",
+    "compile ms",
+    "top level ms",
+    "ready ms",
+    "bytes",
+    "top level",
 ];
 
 fn main() -> ExitCode {

@@ -249,7 +249,9 @@ impl Hierarchy {
             let range = start..self.ends[start] as usize;
             match ranges.last_mut() {
                 Some(last) if start < last.end => continue,
-                Some(last) if start == last.end && (self.grafts.is_empty() || !self.is_graft(start)) => last.end = range.end,
+                Some(last) if start == last.end && (self.grafts.is_empty() || !self.is_graft(start)) => {
+                    last.end = range.end
+                }
                 _ => ranges.push(range.clone()),
             }
             if !self.grafts.is_empty() {
