@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::graph::Object;
+use crate::graph::{Object, SceneFileFault};
 
 /// Everything that can go wrong, with the key, path, index or limit and the likely cause.
 ///
@@ -77,6 +77,34 @@ pub enum Error {
         value: String,
         /// What is allowed, and the limit.
         expected: String,
+    },
+    /// A delta does not fit the scene that it was applied to.
+    #[error("{object}: {what}: the delta is damaged, or was made for another state of the scene")]
+    Delta {
+        /// The first object whose state does not fit.
+        object: Object,
+        /// What does not fit.
+        what: &'static str,
+    },
+    /// Undo or redo was called by the edits of a transaction.
+    #[error("cannot {attempt} within a transaction: let it end first")]
+    Transaction {
+        /// What was attempted: "undo".
+        attempt: &'static str,
+    },
+    /// The queue that a batch of edits was sent to is gone, and the batch with it.
+    #[error("the edits were not applied: their queue was dropped")]
+    QueueClosed,
+    /// A scene file or a recording is damaged, or not one.
+    #[error("{path}: frame {frame}: {fault}")]
+    SceneFile {
+        /// The file.
+        path: PathBuf,
+        /// Which frame: 0 for a saved scene, and for the start of a recording.
+        frame: usize,
+        /// What is wrong with it.
+        #[source]
+        fault: SceneFileFault,
     },
     /// A file could not be read or written.
     #[error("{path}: {source}")]

@@ -46,21 +46,30 @@ pub mod gltf;
 pub mod graph;
 pub mod image;
 pub mod math;
+pub mod query;
 pub mod render;
 pub mod trace;
+mod whole_file;
 
 pub use error::{Error, Result};
 /// The vectors, quaternions and matrices of this interface.
 pub use glam;
 pub use graph::{
-    AlphaMode, Billboard, Camera, Change, Changes, Core, CoreKey, CoreSource, Cursor, Filter, Geometry, GeometryKey,
-    Hierarchy, Keep, Light, LightKind, Lod, LodMeasure, Material, MaterialKey, NodeKey, NodePath, Object, Placed,
-    Sampler, Scene, SceneId, Switch, Texture, TextureKey, TextureRef, Transform, Wrap,
+    AlphaMode, Billboard, Camera, Change, Changes, Core, CoreKey, CoreSource, Cursor, Delta, Descend, EditQueue,
+    EditSender, Filter, Geometry, GeometryKey, Hierarchy, Keep, Light, LightKind, Lod, LodMeasure, Material,
+    MaterialKey, NodeKey, NodePath, NodeState, Object, Pending, Placed, Recorder, Replay, Sampler, Scene,
+    SceneFileFault, SceneId, State, Switch, Texture, TextureKey, TextureRef, Transform, Visitor, Wrap,
 };
 pub use math::{Aabb, Bounds};
+pub use query::{Hit, Queries, Ray, Region};
 pub use render::{DeviceChoice, Frame, FrameReport, Renderer, RendererOptions, Sky, View};
 
 /// The README's program compiles.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;
+
+/// The guide's programs run.
+#[cfg(doctest)]
+#[doc = include_str!("../docs/SCENE_GRAPH.md")]
+struct SceneGraphGuide;

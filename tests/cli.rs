@@ -222,7 +222,7 @@ fn json_is_all_there_is_on_standard_output() {
 #[test]
 fn stats_are_tables() {
     let run = render_small(&folder(), &["two.gltf", "--stats"]);
-    for expected in ["two.gltf", "40x30, 1200 primary rays", "rebuilt (new scene)", "trace", "wrote out.png"] {
+    for expected in ["two.gltf", "40x30, 1200 primary rays", "built", "trace", "wrote out.png"] {
         assert!(run.stdout.contains(expected), "no {expected:?} in\n{}", run.stdout);
     }
 }

@@ -241,8 +241,8 @@ fn bad_materials_are_refused() {
 fn bad_lights_cameras_transforms_and_textures_are_refused() {
     let light = |kind, intensity, range| Light { kind, color: Vec3::ONE, intensity, range };
     let spot = |inner, outer| LightKind::Spot { inner_cone_angle: inner, outer_cone_angle: outer };
-    let perspective = |y_fov, aspect| Core::Camera(Camera::Perspective { y_fov, aspect });
-    let orthographic = |x_mag, y_mag| Core::Camera(Camera::Orthographic { x_mag, y_mag });
+    let perspective = |y_fov, aspect| Core::Camera(Camera::Perspective { y_fov, aspect, shift: Vec2::ZERO });
+    let orthographic = |x_mag, y_mag| Core::Camera(Camera::orthographic(x_mag, y_mag));
     let dark = Light { color: Vec3::new(0.0, -1.0, 0.0), ..light(LightKind::Point, 1.0, None) };
     let bad = [
         Core::Light(dark),
@@ -257,6 +257,7 @@ fn bad_lights_cameras_transforms_and_textures_are_refused() {
         perspective(1.0, Some(f32::NAN)),
         orthographic(0.0, 1.0),
         orthographic(1.0, f32::INFINITY),
+        Core::Camera(Camera::default().shifted(Vec2::new(0.0, f32::NAN))),
         Core::Transform(Transform::from_scale(DVec3::new(1.0, f64::NAN, 1.0))),
         // Each number is finite, their product is not.
         Core::Transform(Transform::Trs { translation: X, rotation: DQuat::from_xyzw(1e200, 0.0, 0.0, 0.0), scale: X }),

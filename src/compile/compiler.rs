@@ -8,7 +8,7 @@ use glam::DVec3;
 
 use super::dirty::Dirty;
 use super::geometry_cache::GeometryCache;
-use super::instance_table::{InstanceTable, Member, Sources};
+use super::instance_table::{InstanceSource, InstanceTable, Member, Sources};
 use super::material_table::MaterialTable;
 use super::observer::Observer;
 use super::report::CompileReport;
@@ -17,7 +17,7 @@ use super::{Needs, pack};
 use crate::Result;
 use crate::accel::Update;
 use crate::device::DeviceArrays;
-use crate::graph::{Changes, Core, Cursor, Hierarchy, Scene};
+use crate::graph::{Changes, Core, Cursor, Hierarchy, Scene, SceneId};
 use crate::math::{Aabb, Bounds};
 
 /// Turns one scene after another, or one scene edit by edit, into [`DeviceArrays`].
@@ -38,6 +38,8 @@ pub struct Compiler {
     /// Entries with a light core that are shown.
     lights: BTreeSet<u32>,
     view: ViewDependent,
+    /// Who looked last, and at which scene.
+    observer: Option<(SceneId, Observer)>,
     /// Where the device's world has its origin, in the scene's world.
     origin: DVec3,
     /// The report of a compile that finds nothing changed.
@@ -70,6 +72,7 @@ impl Compiler {
             instances: InstanceTable::default(),
             lights: BTreeSet::new(),
             view: ViewDependent::default(),
+            observer: None,
             origin: DVec3::ZERO,
             unchanged: CompileReport::default(),
         }
@@ -84,11 +87,29 @@ impl Compiler {
     /// [`Error::Limit`](crate::Error::Limit) if an array would pass what its indices can address, or instances of instances
     /// are too many. The compiler then starts from nothing with its next scene.
     pub fn compile(&mut self, scene: &mut Scene, observer: impl Into<Observer>) -> Result<CompileReport> {
-        let result = self.try_compile(scene, &observer.into());
-        if result.is_err() {
-            *self = Self::new();
+        let observer = observer.into();
+        let result = self.try_compile(scene, &observer);
+        match result {
+            Ok(_) => self.observer = Some((scene.id(), observer)),
+            Err(_) => *self = Self::new(),
         }
         result
+    }
+
+    /// Brings the arrays up to date for the observer who looked at `scene` last; if nobody has, from its centre.
+    ///
+    /// # Errors
+    /// As [`compile`](Self::compile).
+    pub fn catch_up(&mut self, scene: &mut Scene) -> Result<CompileReport> {
+        let last = self.observer.filter(|(id, _)| *id == scene.id());
+        let observer = match last {
+            Some((_, observer)) => observer,
+            None => {
+                let center = scene.world_bounds(scene.root())?.center();
+                if center.is_finite() { center } else { DVec3::ZERO }.into()
+            }
+        };
+        self.compile(scene, observer)
     }
 
     /// The compiled scene.
@@ -104,6 +125,13 @@ impl Compiler {
     /// The render origin: the point of the scene's world at which the device's world has its origin.
     pub fn origin(&self) -> DVec3 {
         self.origin
+    }
+
+    /// What stands at a place in the `instances` array; `None` where nothing does. `hierarchy` is that of the scene that was
+    /// compiled, unchanged since. O(depth).
+    pub fn instance(&self, slot: u32, hierarchy: &Hierarchy) -> Option<InstanceSource> {
+        let &Member { entry, geometry, material, .. } = self.instances.member(slot)?;
+        Some(InstanceSource { path: hierarchy.path(entry as usize), geometry, material })
     }
 
     fn try_compile(&mut self, scene: &mut Scene, observer: &Observer) -> Result<CompileReport> {
@@ -162,7 +190,8 @@ impl Compiler {
             self.view.clear();
             let mut members = Vec::new();
             for entry in 0..entry_count {
-                members.extend(self.classify(scene, hierarchy, entry)?);
+                self.view.classify(scene, hierarchy, entry);
+                members.extend(self.member(scene, hierarchy, entry));
             }
             self.instances.replace(members.into_iter(), entry_count, &mut self.arrays)?;
             return Ok(true);
@@ -183,7 +212,8 @@ impl Compiler {
         let mut shine = self.lights.len() != lights;
         for range in changed.into_iter().chain([new]) {
             shine |= self.has_lights(&range);
-            self.refresh(scene, hierarchy, range.clone())?;
+            range.clone().for_each(|entry| self.view.classify(scene, hierarchy, entry));
+            self.settle(scene, hierarchy, range.clone())?;
             shine |= self.has_lights(&range);
         }
 
@@ -201,7 +231,7 @@ impl Compiler {
         let choice = self.view.choose(scene, hierarchy, observer)?;
         for range in choice.shown {
             shine |= self.has_lights(&range);
-            self.refresh(scene, hierarchy, range.clone())?;
+            self.settle(scene, hierarchy, range.clone())?;
             shine |= self.has_lights(&range);
         }
         for entry in choice.turned {
@@ -211,34 +241,32 @@ impl Compiler {
         Ok(shine)
     }
 
-    /// Finds out anew what the entries in a range are.
-    fn refresh(&mut self, scene: &Scene, hierarchy: &Hierarchy, range: Range<usize>) -> Result<()> {
+    /// Makes the entries in a range members, lights, or neither.
+    fn settle(&mut self, scene: &Scene, hierarchy: &Hierarchy, range: Range<usize>) -> Result<()> {
         for entry in range {
-            let member = self.classify(scene, hierarchy, entry)?;
+            let member = self.member(scene, hierarchy, entry);
             self.instances.set(entry, member, &mut self.arrays)?;
         }
         Ok(())
     }
 
-    /// What an entry is; the member, if it is one.
-    fn classify(&mut self, scene: &Scene, hierarchy: &Hierarchy, entry: usize) -> Result<Option<Member>> {
+    /// The member that an entry is, if it is one; a light is noted.
+    fn member(&mut self, scene: &Scene, hierarchy: &Hierarchy, entry: usize) -> Option<Member> {
         let node = hierarchy.nodes()[entry];
-        // A gap.
-        let Ok(core) = scene.core(node) else { return Ok(None) };
-        self.view.classify(hierarchy, entry, core);
         let placed = &hierarchy.placed()[entry];
-        let shown = placed.visible && self.view.shows(entry);
+        // A gap has no core.
+        let core = scene.core(node).ok().filter(|_| placed.visible && self.view.shows(entry));
         match core {
-            Core::Light(_) if shown => drop(self.lights.insert(entry as u32)),
+            Some(Core::Light(_)) => drop(self.lights.insert(entry as u32)),
             _ => drop(self.lights.remove(&(entry as u32))),
         }
-        Ok(match *core {
-            Core::Geometry { geometry, material } if shown => {
+        match *core? {
+            Core::Geometry { geometry, material } => {
                 let material = placed.material.unwrap_or(material);
                 Some(Member { entry: entry as u32, node, geometry, material })
             }
             _ => None,
-        })
+        }
     }
 
     fn has_lights(&self, range: &Range<usize>) -> bool {

@@ -12,7 +12,7 @@ use super::view_dependent::ViewDependent;
 use crate::accel::{TopLevel, Update};
 use crate::device::DeviceArrays;
 use crate::device::layout::{Instance, InstanceFlags, NONE, PrimitiveRange};
-use crate::graph::{GeometryKey, Hierarchy, MaterialKey, NodeKey};
+use crate::graph::{GeometryKey, Hierarchy, KeyMap, MaterialKey, NodeKey, NodePath};
 use crate::math::Aabb;
 use crate::{Error, Result};
 
@@ -23,6 +23,17 @@ pub(super) struct Member {
     pub(super) node: NodeKey,
     pub(super) geometry: GeometryKey,
     pub(super) material: MaterialKey,
+}
+
+/// What an instance shows, and for which appearance of a node.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct InstanceSource {
+    /// The node with the geometry core.
+    pub path: NodePath,
+    /// Its geometry.
+    pub geometry: GeometryKey,
+    /// Its material: its core's, or that of a material group above it.
+    pub material: MaterialKey,
 }
 
 /// The instances, by device slot.
@@ -314,7 +325,8 @@ impl Totals {
 /// The slots that use each geometry, or each material.
 #[derive(Debug)]
 pub(super) struct Users<K: Key> {
-    slots: SecondaryMap<K, Vec<u32>>,
+    /// Of two generations of one slot, while members are exchanged, the one that comes.
+    slots: KeyMap<K, Vec<u32>>,
     /// Where each slot stands in its list.
     places: Vec<u32>,
     /// Whether some key got its first user or lost its last.
@@ -323,14 +335,14 @@ pub(super) struct Users<K: Key> {
 
 impl<K: Key> Default for Users<K> {
     fn default() -> Self {
-        Self { slots: SecondaryMap::new(), places: Vec::new(), changed: false }
+        Self { slots: KeyMap::new(), places: Vec::new(), changed: false }
     }
 }
 
 impl<K: Key> Users<K> {
     /// The keys that have users.
     pub(super) fn keys(&self) -> impl Iterator<Item = K> + '_ {
-        self.slots.keys()
+        self.slots.iter().map(|(key, _)| key)
     }
 
     pub(super) fn has(&self, key: K) -> bool {

@@ -14,6 +14,7 @@ mod report;
 mod view_dependent;
 
 pub use compiler::Compiler;
+pub use instance_table::InstanceSource;
 pub use needs::{MAX_MIRROR_ROUGHNESS, Needs};
 pub use observer::{ImageHeight, Observer};
 pub use report::CompileReport;

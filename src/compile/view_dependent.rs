@@ -54,8 +54,10 @@ impl ViewDependent {
     }
 
     /// The entry is new, or has another core or other children.
-    pub(super) fn classify(&mut self, hierarchy: &Hierarchy, entry: usize, core: &Core) {
+    pub(super) fn classify(&mut self, scene: &Scene, hierarchy: &Hierarchy, entry: usize) {
         let key = entry as u32;
+        // A gap has no core.
+        let Ok(core) = scene.core(hierarchy.nodes()[entry]) else { return };
         match core {
             Core::Lod(_) => self.lods.entry(key).or_default().is_applied = false,
             _ => self.unset_lod(hierarchy, key),

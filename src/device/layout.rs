@@ -277,7 +277,7 @@ pub const LIGHT_DIRECTIONAL: u32 = 2;
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct FrameParams {
-    /// Camera position.
+    /// Camera position (perspective), or the image's centre (orthographic).
     pub eye: [f32; 3],
     /// Pixels a row.
     pub width: u32,
@@ -289,7 +289,7 @@ pub struct FrameParams {
     pub up: [f32; 3],
     /// Reflections and refractions a path may have.
     pub max_depth: u32,
-    /// Unit vector of view.
+    /// From the eye to the image's centre in the plane at distance 1 (perspective), or the unit vector of view (orthographic).
     pub forward: [f32; 3],
     /// 1 for an orthographic camera, else 0.
     pub orthographic: u32,

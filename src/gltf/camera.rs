@@ -1,6 +1,7 @@
 //! Cameras.
 
 use ::gltf::json;
+use glam::Vec2;
 use json::camera::Type;
 use json::validation::Checked::{Invalid, Valid};
 
@@ -32,17 +33,14 @@ pub(super) fn convert(document: &Document, index: usize, notes: &mut Notes) -> R
                 y_fov = WIDEST;
             }
             let aspect = perspective.aspect_ratio.map(|aspect| positive("aspectRatio", aspect)).transpose()?;
-            Ok(Some(Camera::Perspective { y_fov, aspect }))
+            Ok(Some(Camera::Perspective { y_fov, aspect, shift: Vec2::ZERO }))
         }
         (Valid(Type::Orthographic), _, Some(orthographic)) => {
             let (x_mag, y_mag) = (orthographic.xmag, orthographic.ymag);
             if x_mag < 0.0 || y_mag < 0.0 {
                 notes.add(document, "negative xmag or ymag", &*pointer, "not supported: the image is not mirrored");
             }
-            Ok(Some(Camera::Orthographic {
-                x_mag: positive("xmag", x_mag.abs())?,
-                y_mag: positive("ymag", y_mag.abs())?,
-            }))
+            Ok(Some(Camera::orthographic(positive("xmag", x_mag.abs())?, positive("ymag", y_mag.abs())?)))
         }
         (Valid(_), ..) => Err(document.fault(pointer, "has no properties of its type")),
         (Invalid, ..) => {

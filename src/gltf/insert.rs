@@ -161,7 +161,7 @@ mod tests {
         let bad_geometry = |plan: &mut Plan| plan.geometries.push(triangle(Vec3::NAN));
         let bad_node = |plan: &mut Plan| {
             plan.geometries.push(triangle(Vec3::ZERO));
-            plan.cores.push(PlannedCore::Camera(Camera::Perspective { y_fov: -1.0, aspect: None }, 0));
+            plan.cores.push(PlannedCore::Camera(Camera::perspective(-1.0), 0));
             let content = Content::Core(plan.cores.len() - 1);
             plan.nodes.push(PlannedNode { parent: None, name: String::new(), content, visible: true, file_node: None });
         };

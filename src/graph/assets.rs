@@ -4,6 +4,7 @@ use super::changes::Change;
 use super::core::CoreSlot;
 use super::ranges::{check_material, check_texture};
 use super::scene::stale;
+use super::store::Store;
 use super::{Core, CoreKey, Geometry, GeometryKey, Material, MaterialKey, Scene, Texture, TextureKey};
 use crate::Result;
 use crate::math::{Aabb, Bounds};
@@ -17,7 +18,7 @@ pub(super) struct Used<T> {
 }
 
 impl<T> Used<T> {
-    fn new(value: T) -> Self {
+    pub(super) fn new(value: T) -> Self {
         Self { value, user_count: 0 }
     }
 }
@@ -26,8 +27,8 @@ impl<T> Used<T> {
 #[derive(Debug)]
 pub(super) struct StoredGeometry {
     pub(super) geometry: Geometry,
-    /// How often it was replaced.
-    version: u64,
+    /// Higher for each that the key has named.
+    pub(super) version: u64,
     /// The box around its triangles; vertices that none of them uses do not count.
     pub(super) bounds: Bounds,
 }
@@ -36,9 +37,14 @@ impl StoredGeometry {
     /// Checks and measures a geometry.
     fn new(geometry: Geometry, version: u64) -> Result<Self> {
         geometry.validate()?;
+        Ok(Self::of_valid(geometry, version))
+    }
+
+    /// Measures a geometry that was checked.
+    pub(super) fn of_valid(geometry: Geometry, version: u64) -> Self {
         let corners = geometry.indices.iter().flatten().map(|&vertex| geometry.positions[vertex as usize]);
         let bounds = Aabb::from_points(corners).into();
-        Ok(Self { geometry, version, bounds })
+        Self { geometry, version, bounds }
     }
 }
 
@@ -62,7 +68,8 @@ impl Scene {
         Ok(&self.stored_geometry(key)?.geometry)
     }
 
-    /// How often the geometry was replaced: what is derived from one version of one key stays right.
+    /// Higher each time the geometry was replaced, by one or more: what is derived from one version of one key stays
+    /// right.
     ///
     /// # Errors
     /// [`Error::StaleKey`](crate::Error::StaleKey).
@@ -93,6 +100,7 @@ impl Scene {
         if old.geometry != geometry {
             let (new, old_bounds) = (StoredGeometry::new(geometry, old.version + 1)?, old.bounds);
             let resized = new.bounds != old_bounds;
+            self.touch(key);
             self.geometries[key].value = new;
             if resized {
                 self.boxes_changed(key);
@@ -136,6 +144,7 @@ impl Scene {
         if *self.material(key)? != material {
             self.check_material(&material)?;
             self.acquire_textures(&material);
+            self.touch(key);
             let old = std::mem::replace(&mut self.materials[key].value, material);
             self.record(key, Change::DATA);
             self.release_textures(&old);
@@ -174,6 +183,7 @@ impl Scene {
     pub fn set_texture(&mut self, key: TextureKey, texture: Texture) -> Result<()> {
         if *self.texture(key)? != texture {
             check_texture(&texture)?;
+            self.touch(key);
             self.textures[key].value = texture;
             self.record(key, Change::DATA);
         }
@@ -245,7 +255,7 @@ impl Scene {
     }
 
     /// Tells the hierarchy that a geometry has another box. O(cores + its users).
-    fn boxes_changed(&mut self, key: GeometryKey) {
+    pub(super) fn boxes_changed(&mut self, key: GeometryKey) {
         let users = |slot: &CoreSlot| std::iter::successors(slot.first_user, |&user| self.nodes[user].next_user);
         for slot in self.cores.values().filter(|slot| slot.core.geometry() == Some(key)) {
             users(slot).for_each(|user| self.hierarchy.box_changed(user));
@@ -256,13 +266,13 @@ impl Scene {
         self.geometries.get(key).map(|used| &used.value).ok_or_else(|| stale(key))
     }
 
-    fn acquire_textures(&mut self, material: &Material) {
+    pub(super) fn acquire_textures(&mut self, material: &Material) {
         for texture in material.textures() {
             self.textures[texture.texture].user_count += 1;
         }
     }
 
-    fn release_textures(&mut self, material: &Material) {
+    pub(super) fn release_textures(&mut self, material: &Material) {
         for texture in material.textures() {
             if release(&mut self.textures[texture.texture]) {
                 self.free_texture(texture.texture);
@@ -271,11 +281,19 @@ impl Scene {
     }
 
     fn free_geometry(&mut self, key: GeometryKey) {
+        if self.keeps_unused {
+            return;
+        }
+        self.touch(key);
         self.geometries.remove(key);
         self.record(key, Change::REMOVED);
     }
 
     fn free_material(&mut self, key: MaterialKey) {
+        if self.keeps_unused {
+            return;
+        }
+        self.touch(key);
         if let Some(used) = self.materials.remove(key) {
             self.record(key, Change::REMOVED);
             self.release_textures(&used.value);
@@ -283,6 +301,10 @@ impl Scene {
     }
 
     fn free_texture(&mut self, key: TextureKey) {
+        if self.keeps_unused {
+            return;
+        }
+        self.touch(key);
         self.textures.remove(key);
         self.record(key, Change::REMOVED);
     }
@@ -301,10 +323,10 @@ fn release<T>(used: &mut Used<T>) -> bool {
     used.user_count == 0
 }
 
-fn is_unused<K: slotmap::Key, T>(assets: &slotmap::SlotMap<K, Used<T>>, key: K) -> bool {
+fn is_unused<K: slotmap::Key, T>(assets: &Store<K, Used<T>>, key: K) -> bool {
     assets.get(key).is_some_and(|used| used.user_count == 0)
 }
 
-fn keys_where<K: slotmap::Key, V>(map: &slotmap::SlotMap<K, V>, condition: impl Fn(&V) -> bool) -> Vec<K> {
+fn keys_where<K: slotmap::Key, V>(map: &Store<K, V>, condition: impl Fn(&V) -> bool) -> Vec<K> {
     map.iter().filter(|(_, value)| condition(value)).map(|(key, _)| key).collect()
 }

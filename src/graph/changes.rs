@@ -9,14 +9,14 @@ use std::collections::{HashMap, HashSet, VecDeque};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Weak};
 
-use slotmap::SecondaryMap;
-
+use super::key_map::KeyMap;
 use super::validate::check;
 use super::{CoreKey, GeometryKey, MaterialKey, NodeKey, Object, SceneId, TextureKey};
 use crate::Result;
 
 bitflags::bitflags! {
     /// What changed in an object. [`ADDED`](Self::ADDED) and [`REMOVED`](Self::REMOVED) stand alone: they say it all.
+    /// An object that went and came back under its key, as by undo, has all other flags.
     #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
     pub struct Change: u16 {
         /// The object is new.
@@ -51,6 +51,8 @@ impl Change {
             (true, true) => Self::empty(),
             (true, false) => Self::ADDED,
             (false, true) => Self::REMOVED,
+            // It went and came back: whatever it has may be another.
+            (false, false) if self.contains(Self::REMOVED) => Self::all().difference(Self::ADDED | Self::REMOVED),
             (false, false) => self | later,
         }
     }
@@ -87,20 +89,26 @@ pub(super) struct ChangeLog {
     segments: VecDeque<Segment>,
     /// Where the open segment has an object's entry.
     places: Places,
+    /// The same, for objects that are gone and whose slot others have got since: they may come back.
+    displaced: HashMap<Object, usize>,
 }
 
 impl ChangeLog {
     /// Adds one change to the open segment. O(1) amortised.
     pub(super) fn record(&mut self, object: Object, change: Change) {
         let Some(open) = self.segments.back_mut() else { return };
-        if let Some(place) = self.places.get(object).filter(|&place| open.is_at(object, place)) {
+        let place = self.places.get(object).filter(|&place| open.is_at(object, place));
+        if let Some(place) = place.or_else(|| self.displaced.get(&object).copied()) {
             open.merge_at(place, change);
             if open.drop_dead_entries() {
-                self.places.set_all(&open.entries);
+                self.displaced.clear();
+                for (place, &(object, _)) in open.entries.iter().enumerate() {
+                    set_place(object, place, &open.entries, &mut self.places, &mut self.displaced);
+                }
             }
             return;
         }
-        self.places.set(object, open.entries.len());
+        set_place(object, open.entries.len(), &open.entries, &mut self.places, &mut self.displaced);
         open.entries.push((object, change));
         if self.cursors.iter().any(|cursor| cursor.strong_count() == 0) {
             self.forget_dropped_cursors();
@@ -140,7 +148,9 @@ impl ChangeLog {
     /// Allocates what recording changes of objects up to these takes.
     pub(super) fn make_room(&mut self, last_node: Option<NodeKey>, last_core: Option<CoreKey>) {
         let last = [last_node.map(Object::from), last_core.map(Object::from)];
-        last.into_iter().flatten().for_each(|object| self.places.set(object, 0));
+        last.into_iter().flatten().for_each(|object| {
+            self.places.set(object, 0);
+        });
     }
 
     /// The start of an open segment without entries.
@@ -150,6 +160,7 @@ impl ChangeLog {
             Some(open) => open.start + 1,
             None => 0,
         };
+        self.displaced.clear();
         self.segments.push_back(Segment::new(start));
         start
     }
@@ -216,7 +227,8 @@ impl ChangeLog {
         check(self.positions().iter().all(at_segment), root, "a cursor is not at the start of a segment")?;
         for segment in &self.segments {
             let mut seen = HashSet::new();
-            for (place, &(object, _)) in segment.entries.iter().enumerate() {
+            let entries = segment.entries.iter().enumerate().filter(|(_, (_, change))| !change.is_empty());
+            for (place, &(object, _)) in entries {
                 check(seen.insert(object), object, "it has two entries in one segment of the log")?;
                 let found = segment.index.is_empty() || segment.index.get(&object) == Some(&place);
                 check(found, object, "the log's index does not find it")?;
@@ -225,6 +237,21 @@ impl ChangeLog {
             check(dead == segment.dead, root, "the log miscounts what came and went")?;
         }
         Ok(())
+    }
+}
+
+/// Notes where an object's entry is, and keeps where that of the object is which had its slot before.
+fn set_place(
+    object: Object,
+    place: usize,
+    entries: &[(Object, Change)],
+    places: &mut Places,
+    displaced: &mut HashMap<Object, usize>,
+) {
+    if let Some((other, other_place)) = places.set(object, place)
+        && entries.get(other_place).is_some_and(|&(found, change)| found == other && !change.is_empty())
+    {
+        displaced.insert(other, other_place);
     }
 }
 
@@ -255,6 +282,8 @@ impl Segment {
 
     fn merge_at(&mut self, place: usize, later: Change) {
         let change = &mut self.entries[place].1;
+        // What came and went can come back.
+        self.dead -= usize::from(change.is_empty());
         *change = change.then(later);
         self.dead += usize::from(change.is_empty());
     }
@@ -294,11 +323,11 @@ impl Segment {
 /// A place for each object. One that was never set, or was set long ago, is wrong: the reader checks what is there.
 #[derive(Debug, Default)]
 struct Places {
-    nodes: SecondaryMap<NodeKey, u32>,
-    cores: SecondaryMap<CoreKey, u32>,
-    geometries: SecondaryMap<GeometryKey, u32>,
-    materials: SecondaryMap<MaterialKey, u32>,
-    textures: SecondaryMap<TextureKey, u32>,
+    nodes: KeyMap<NodeKey, u32>,
+    cores: KeyMap<CoreKey, u32>,
+    geometries: KeyMap<GeometryKey, u32>,
+    materials: KeyMap<MaterialKey, u32>,
+    textures: KeyMap<TextureKey, u32>,
 }
 
 impl Places {
@@ -313,20 +342,22 @@ impl Places {
         place.map(|&place| place as usize)
     }
 
-    fn set(&mut self, object: Object, place: usize) {
-        let place = place as u32;
+    /// Gives the object of another generation that was in the same place, with its place.
+    fn set(&mut self, object: Object, place: usize) -> Option<(Object, usize)> {
+        fn insert<K: slotmap::Key + Into<Object>>(
+            map: &mut KeyMap<K, u32>,
+            key: K,
+            place: usize,
+        ) -> Option<(Object, usize)> {
+            let (other, place) = map.insert(key, place as u32).filter(|&(other, _)| other != key)?;
+            Some((other.into(), place as usize))
+        }
         match object {
-            Object::Node(key) => self.nodes.insert(key, place),
-            Object::Core(key) => self.cores.insert(key, place),
-            Object::Geometry(key) => self.geometries.insert(key, place),
-            Object::Material(key) => self.materials.insert(key, place),
-            Object::Texture(key) => self.textures.insert(key, place),
-        };
-    }
-
-    fn set_all(&mut self, entries: &[(Object, Change)]) {
-        for (place, &(object, _)) in entries.iter().enumerate() {
-            self.set(object, place);
+            Object::Node(key) => insert(&mut self.nodes, key, place),
+            Object::Core(key) => insert(&mut self.cores, key, place),
+            Object::Geometry(key) => insert(&mut self.geometries, key, place),
+            Object::Material(key) => insert(&mut self.materials, key, place),
+            Object::Texture(key) => insert(&mut self.textures, key, place),
         }
     }
 }

@@ -1,9 +1,11 @@
 //! Cores: what a node is. Nodes that share a core share its edits.
 
+use serde::{Deserialize, Serialize};
+
 use super::{Billboard, Camera, CoreKey, GeometryKey, Light, Lod, MaterialKey, NodeKey, Switch, Transform};
 
 /// What a node is.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum Core {
     /// Nothing but the parent of its children.
@@ -57,6 +59,14 @@ impl Core {
     pub fn geometry(&self) -> Option<GeometryKey> {
         match *self {
             Self::Geometry { geometry, .. } => Some(geometry),
+            _ => None,
+        }
+    }
+
+    /// The node that it shows here too.
+    pub fn target(&self) -> Option<NodeKey> {
+        match *self {
+            Self::Instance(target) => Some(target),
             _ => None,
         }
     }

@@ -70,6 +70,7 @@ impl Scene {
             CoreSource::Shared(key) => self.check_target(node, self.core_of(*key)?)?,
         }
         let new = self.obtain_core(source)?;
+        self.touch(node);
         let was = Structural::of(&self.cores[old].core);
         self.unlink_user(node, old);
         self.link_user(node, new);
@@ -97,6 +98,14 @@ impl Scene {
             self.users(key)?.try_for_each(|user| self.check_target(user, &core))?;
         }
         self.acquire_assets(key, &core);
+        let old = self.replace_core(key, core);
+        self.release_assets(key, &old);
+        Ok(())
+    }
+
+    /// Puts another core, whose assets count it, in the place of one, which it gives back.
+    pub(super) fn replace_core(&mut self, key: CoreKey, core: Core) -> Core {
+        self.touch(key);
         let old = std::mem::replace(&mut self.cores[key].core, core);
         let new = &self.cores[key].core;
         let moves = matches!(old, Core::Transform(_)) || matches!(new, Core::Transform(_));
@@ -113,8 +122,7 @@ impl Scene {
             next = self.nodes[user].next_user;
         }
         self.record(key, change);
-        self.release_assets(key, &old);
-        Ok(())
+        old
     }
 
     /// The transform of a transform node into its parent's space.
@@ -145,6 +153,7 @@ impl Scene {
     /// Moves all users of a transform core. What [`edit_core`](Self::edit_core) does, without what it does for other cores.
     fn edit_transform(&mut self, key: CoreKey, transform: Transform) -> Result<()> {
         let local = check_transform(&transform)?;
+        self.touch(key);
         let slot = &mut self.cores[key];
         slot.core = Core::Transform(transform);
         let mut next = slot.first_user;
@@ -172,9 +181,11 @@ impl Scene {
 
     /// Frees a core that lost a user, if it was the last.
     pub(super) fn release_core_if_unused(&mut self, key: CoreKey) {
-        if self.cores[key].user_count == 0
-            && let Some(slot) = self.cores.remove(key)
-        {
+        if self.cores[key].user_count > 0 {
+            return;
+        }
+        self.touch(key);
+        if let Some(slot) = self.cores.remove(key) {
             self.record(key, Change::REMOVED);
             self.release_assets(key, &slot.core);
         }
@@ -187,7 +198,7 @@ impl Scene {
     }
 
     /// Tells the hierarchy that a node's core is another than it was.
-    fn core_changed(&mut self, key: NodeKey, was: Structural) {
+    pub(super) fn core_changed(&mut self, key: NodeKey, was: Structural) {
         self.node_changed(key);
         let is = Structural::of(&self.cores[self.nodes[key].core].core);
         if was.switch || is.switch {
@@ -228,13 +239,16 @@ impl Scene {
 
 /// What a core means to others than its node.
 #[derive(Clone, Copy)]
-struct Structural {
+pub(super) struct Structural {
     switch: bool,
     instance: bool,
     geometry: bool,
 }
 
 impl Structural {
+    /// Of a core that is not known any more.
+    pub(super) const ANY: Self = Self { switch: true, instance: true, geometry: true };
+
     fn of(core: &Core) -> Self {
         Self {
             switch: matches!(core, Core::Switch(_)),

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use glam::{Vec2, Vec3, Vec4};
+use serde::{Deserialize, Serialize};
 
 use crate::{Error, Result};
 
@@ -10,7 +11,7 @@ use crate::{Error, Result};
 ///
 /// The streams are reference counted, so a clone is cheap and shares them. Every optional stream, where present, has one
 /// element a position. Triangles wind counter-clockwise seen from their front, as in glTF.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Geometry {
     /// Vertex positions, local space, in the scene's unit of length. Finite.
     pub positions: Arc<[Vec3]>,
@@ -31,6 +32,22 @@ impl Geometry {
     /// A geometry of positions and triangles alone.
     pub fn new(positions: impl Into<Arc<[Vec3]>>, indices: impl Into<Arc<[[u32; 3]]>>) -> Self {
         Self { positions: positions.into(), indices: indices.into(), ..Self::default() }
+    }
+
+    /// Whether it is equal: at once where the streams are shared.
+    pub(super) fn is_same(&self, other: &Self) -> bool {
+        fn is_shared<T>(a: Option<&Arc<[T]>>, b: Option<&Arc<[T]>>) -> bool {
+            match (a, b) {
+                (Some(a), Some(b)) => Arc::ptr_eq(a, b),
+                (a, b) => a.is_none() && b.is_none(),
+            }
+        }
+        let is_shared = Arc::ptr_eq(&self.positions, &other.positions)
+            && Arc::ptr_eq(&self.indices, &other.indices)
+            && is_shared(self.normals.as_ref(), other.normals.as_ref())
+            && (0..2).all(|i| is_shared(self.tex_coords[i].as_ref(), other.tex_coords[i].as_ref()))
+            && is_shared(self.colors.as_ref(), other.colors.as_ref());
+        is_shared || self == other
     }
 
     /// Checks all that the renderer relies on: finite values, indices in range, streams of equal length. O(vertices + triangles).

@@ -1,9 +1,10 @@
 //! Punctual lights, as `KHR_lights_punctual` defines them.
 
 use glam::Vec3;
+use serde::{Deserialize, Serialize};
 
 /// A light at its node's origin, shining along the node's -Z axis where it has a direction. Scale does not affect it.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Light {
     /// Its shape.
     pub kind: LightKind,
@@ -28,7 +29,7 @@ impl Light {
 }
 
 /// The shape of a light.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum LightKind {
     /// Shines equally in all directions.
     Point,

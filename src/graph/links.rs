@@ -5,17 +5,33 @@ use super::{CoreKey, NodeKey, Scene};
 impl Scene {
     /// Appends `node`, which has no parent, to the children of `parent`.
     pub(super) fn link_child(&mut self, node: NodeKey, parent: NodeKey) {
-        let last = self.nodes[parent].last_child.replace(node);
-        match last {
-            Some(last) => self.nodes[last].next_sibling = Some(node),
-            None => self.nodes[parent].first_child = Some(node),
+        self.link_child_after(node, parent, self.nodes[parent].last_child);
+    }
+
+    /// Makes `node`, which has no parent, the child of `parent` that comes after `previous`: the first after none.
+    pub(super) fn link_child_after(&mut self, node: NodeKey, parent: NodeKey, previous: Option<NodeKey>) {
+        let next = match previous {
+            Some(previous) => self.nodes[previous].next_sibling.replace(node),
+            None => self.nodes[parent].first_child.replace(node),
+        };
+        match next {
+            Some(next) => {
+                self.touch(next);
+                self.nodes[next].previous_sibling = Some(node);
+            }
+            None => self.nodes[parent].last_child = Some(node),
         }
         let slot = &mut self.nodes[node];
-        (slot.parent, slot.previous_sibling, slot.next_sibling) = (Some(parent), last, None);
+        (slot.parent, slot.previous_sibling, slot.next_sibling) = (Some(parent), previous, next);
     }
 
     /// Takes `node` out of the children of its parent.
     pub(super) fn unlink_child(&mut self, node: NodeKey) {
+        self.touch(node);
+        if let Some(next) = self.nodes[node].next_sibling {
+            // Another node is before it now.
+            self.touch(next);
+        }
         let slot = &mut self.nodes[node];
         let (previous, next) = (slot.previous_sibling.take(), slot.next_sibling.take());
         let Some(parent) = slot.parent.take() else { return };

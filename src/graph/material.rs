@@ -3,12 +3,13 @@
 use std::sync::Arc;
 
 use glam::{Affine2, Vec3, Vec4};
+use serde::{Deserialize, Serialize};
 
 use super::TextureKey;
 
 /// How a surface scatters, absorbs and emits light: glTF 2.0's metallic-roughness model with `KHR_materials_transmission`,
 /// `KHR_materials_ior` and `KHR_materials_emissive_strength`. All colours are linear.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Material {
     /// Linear RGBA; alpha is used as `alpha_mode` says. Each in 0 to 1.
     pub base_color: Vec4,
@@ -96,7 +97,7 @@ impl Material {
 }
 
 /// What the alpha of a material's base colour means.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub enum AlphaMode {
     /// Nothing.
     #[default]
@@ -111,7 +112,7 @@ pub enum AlphaMode {
 }
 
 /// A texture as a material uses it.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TextureRef {
     /// The image.
     pub texture: TextureKey,
@@ -131,7 +132,7 @@ impl TextureRef {
 }
 
 /// How a texture is read between and beyond its texels.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Sampler {
     /// What lies left and right of the image.
     pub wrap_u: Wrap,
@@ -142,7 +143,7 @@ pub struct Sampler {
 }
 
 /// What lies beyond the edge of an image.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Wrap {
     /// The image again.
     #[default]
@@ -154,7 +155,7 @@ pub enum Wrap {
 }
 
 /// What lies between texel centres.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Filter {
     /// The bilinear mix of the four nearest texels.
     #[default]
@@ -164,7 +165,7 @@ pub enum Filter {
 }
 
 /// An image of RGBA texels, 8 bits a channel, row by row from the top. Whether they are sRGB or linear is the material's to say.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Texture {
     /// Texels a row; at least 1.
     pub width: u32,

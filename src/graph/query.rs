@@ -54,11 +54,6 @@ impl Scene {
         Ok(Users { scene: self, next: self.core_slot(core)?.first_user })
     }
 
-    /// The first node in preorder that has this name. O(nodes).
-    pub fn find(&self, name: &str) -> Option<NodeKey> {
-        self.descendants(self.root).ok()?.find(|&node| *self.nodes[node].name == *name)
-    }
-
     /// `world_from_local`: the product of the transforms from the root down to the node, its own included. O(depth),
     /// or O(1) while the [`hierarchy`](Self::hierarchy) is up to date; the result is the same, bit for bit. Not finite
     /// where the product overflows.

@@ -71,12 +71,13 @@ fn check_light(light: &Light) -> Result<()> {
 }
 
 pub(super) fn check_camera(camera: &Camera) -> Result<()> {
+    require(camera.shift().is_finite(), "camera lens shift", &camera.shift(), "finite")?;
     match *camera {
-        Camera::Perspective { y_fov, aspect } => {
+        Camera::Perspective { y_fov, aspect, .. } => {
             require(y_fov > 0.0 && y_fov < PI, "camera field of view", &y_fov, "above 0 and below pi")?;
             aspect.map_or(Ok(()), |aspect| require_positive("camera aspect", aspect))
         }
-        Camera::Orthographic { x_mag, y_mag } => {
+        Camera::Orthographic { x_mag, y_mag, .. } => {
             require_positive("camera half width", x_mag)?;
             require_positive("camera half height", y_mag)
         }

@@ -3,13 +3,13 @@
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use slotmap::SlotMap;
-
 use super::assets::{StoredGeometry, Used};
 use super::changes::{Change, ChangeLog, Changes, Cursor};
 use super::core::CoreSlot;
 use super::hierarchy::{Hierarchy, Tree};
 use super::node::Node;
+use super::store::Store;
+use super::transfer::Journal;
 use super::{Core, CoreKey, GeometryKey, Material, MaterialKey, NodeKey, Object, Texture, TextureKey};
 use crate::{Error, Result};
 
@@ -60,13 +60,16 @@ use crate::{Error, Result};
 pub struct Scene {
     id: SceneId,
     pub(super) root: NodeKey,
-    pub(super) nodes: SlotMap<NodeKey, Node>,
-    pub(super) cores: SlotMap<CoreKey, CoreSlot>,
-    pub(super) geometries: SlotMap<GeometryKey, Used<StoredGeometry>>,
-    pub(super) materials: SlotMap<MaterialKey, Used<Material>>,
-    pub(super) textures: SlotMap<TextureKey, Used<Texture>>,
+    pub(super) nodes: Store<NodeKey, Node>,
+    pub(super) cores: Store<CoreKey, CoreSlot>,
+    pub(super) geometries: Store<GeometryKey, Used<StoredGeometry>>,
+    pub(super) materials: Store<MaterialKey, Used<Material>>,
+    pub(super) textures: Store<TextureKey, Used<Texture>>,
     pub(super) log: ChangeLog,
     pub(super) hierarchy: Hierarchy,
+    pub(super) journal: Journal,
+    /// Whether what has lost its last user stays.
+    pub(super) keeps_unused: bool,
     /// The cores that instance each node.
     pub(super) instancers: HashMap<NodeKey, Vec<CoreKey>>,
     revision: u64,
@@ -88,18 +91,20 @@ impl Scene {
     pub fn new() -> Self {
         static NEXT_ID: AtomicU64 = AtomicU64::new(0);
 
-        let (mut nodes, mut cores) = (SlotMap::with_key(), SlotMap::with_key());
+        let (mut nodes, mut cores) = (Store::new(), Store::new());
         let core = cores.insert(CoreSlot::new(Core::Group));
         let mut scene = Self {
             id: SceneId(NEXT_ID.fetch_add(1, Ordering::Relaxed)),
             root: nodes.insert(Node::new(core)),
             nodes,
             cores,
-            geometries: SlotMap::with_key(),
-            materials: SlotMap::with_key(),
-            textures: SlotMap::with_key(),
+            geometries: Store::new(),
+            materials: Store::new(),
+            textures: Store::new(),
             log: ChangeLog::default(),
             hierarchy: Hierarchy::default(),
+            journal: Journal::default(),
+            keeps_unused: false,
             instancers: HashMap::new(),
             revision: 0,
         };
@@ -217,19 +222,25 @@ impl Scene {
 
     /// The hierarchy, and what it shows.
     pub(super) fn hierarchy_and_tree(&mut self) -> (&mut Hierarchy, Tree<'_>) {
-        let Self { root, nodes, cores, geometries, .. } = self;
-        (&mut self.hierarchy, Tree { root: *root, nodes, cores, geometries })
+        let Self { root, nodes, cores, geometries, instancers, .. } = self;
+        let has_instances = !instancers.is_empty();
+        (&mut self.hierarchy, Tree { root: *root, nodes, cores, geometries, has_instances })
     }
 
     /// What a hierarchy shows.
     pub(super) fn tree(&self) -> Tree<'_> {
-        Tree { root: self.root, nodes: &self.nodes, cores: &self.cores, geometries: &self.geometries }
+        let has_instances = !self.instancers.is_empty();
+        Tree { root: self.root, nodes: &self.nodes, cores: &self.cores, geometries: &self.geometries, has_instances }
     }
 
     /// Counts and logs one change.
     pub(super) fn record(&mut self, object: impl Into<Object>, change: Change) {
+        let object = object.into();
         self.revision += 1;
-        self.log.record(object.into(), change);
+        self.log.record(object, change);
+        if change == Change::ADDED {
+            self.touch_new(object);
+        }
     }
 
     pub(super) fn node(&self, key: NodeKey) -> Result<&Node> {

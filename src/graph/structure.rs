@@ -139,6 +139,7 @@ impl Scene {
     pub fn set_name(&mut self, node: NodeKey, name: impl Into<Box<str>>) -> Result<()> {
         let name = name.into();
         if *self.node(node)?.name != *name {
+            self.touch(node);
             self.nodes[node].name = name;
             self.record(node, Change::NAME);
         }
@@ -160,6 +161,7 @@ impl Scene {
     /// [`Error::StaleKey`].
     pub fn set_mask(&mut self, node: NodeKey, mask: u32) -> Result<()> {
         if self.node(node)?.mask != mask {
+            self.touch(node);
             self.nodes[node].mask = mask;
             self.node_changed(node);
             self.record(node, Change::MASK);
@@ -181,6 +183,7 @@ impl Scene {
     /// [`Error::StaleKey`].
     pub fn set_visible(&mut self, node: NodeKey, visible: bool) -> Result<()> {
         if self.node(node)?.visible != visible {
+            self.touch(node);
             self.nodes[node].visible = visible;
             self.node_changed(node);
             self.record(node, Change::VISIBILITY);
@@ -199,7 +202,7 @@ impl Scene {
     }
 
     /// Notes that a child came, went or changed places.
-    fn children_changed(&mut self, parent: NodeKey) {
+    pub(super) fn children_changed(&mut self, parent: NodeKey) {
         if matches!(self.cores[self.nodes[parent].core].core, Core::Switch(_)) {
             self.hierarchy.switch_changed(parent);
         }
@@ -216,6 +219,7 @@ impl Scene {
 
     /// Frees an unlinked node and its use of its core.
     fn release_node(&mut self, node: NodeKey) {
+        self.touch(node);
         self.record(node, Change::REMOVED);
         let core = self.nodes[node].core;
         self.unlink_user(node, core);

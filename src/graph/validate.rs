@@ -1,10 +1,11 @@
 //! The scene's own check of itself.
 
-use slotmap::{Key, SlotMap};
+use slotmap::Key;
 
 use super::assets::Used;
 use super::node::Node;
 use super::ranges::{check_core, check_material, check_texture};
+use super::store::Store;
 use super::{Core, NodeKey, Object, Scene};
 use crate::{Error, Result};
 
@@ -25,7 +26,7 @@ impl Scene {
 
     /// Every link has its counterpart, and the links lead to every node once.
     fn validate_tree(&self) -> Result<()> {
-        for (key, node) in &self.nodes {
+        for (key, node) in self.nodes.iter() {
             check(node.parent.is_none() == (key == self.root), key, "only the root has no parent")?;
             let links = [node.parent, node.first_child, node.last_child, node.previous_sibling, node.next_sibling];
             check(links.iter().flatten().all(|&link| self.contains(link)), key, "a link leads out of the scene")?;
@@ -50,7 +51,7 @@ impl Scene {
         check(*self.core(self.root)? == Core::Group, self.root, "the root is not a group")?;
         let is_user = |node: &Node, previous, core| node.core == core && node.previous_user == previous;
         let mut user_count = 0;
-        for (key, slot) in &self.cores {
+        for (key, slot) in self.cores.iter() {
             let (mut previous, mut next, mut found) = (None, slot.first_user, 0);
             while let Some(user) = next {
                 let node = self.node(user)?;
@@ -86,7 +87,7 @@ impl Scene {
 
 /// Whether each asset's count is the number of references to it.
 fn validate_counts<K: Key + Into<Object>, V>(
-    assets: &SlotMap<K, Used<V>>,
+    assets: &Store<K, Used<V>>,
     references: impl Iterator<Item = K>,
 ) -> Result<()> {
     let mut counts: slotmap::SecondaryMap<K, usize> = assets.keys().map(|key| (key, 0)).collect();
@@ -94,7 +95,7 @@ fn validate_counts<K: Key + Into<Object>, V>(
         let count = counts.get_mut(key);
         *count.ok_or(Error::Defect { object: key.into(), what: "it is referred to, but gone" })? += 1;
     }
-    for (key, used) in assets {
+    for (key, used) in assets.iter() {
         check(counts[key] == used.user_count, key, "its users are not those that it counts")?;
     }
     Ok(())

@@ -14,8 +14,10 @@ use crate::Result;
 use crate::compile::Compiler;
 use crate::graph::Scene;
 use crate::image::Image;
+use crate::query::{Hit, Queries};
 #[cfg(feature = "gpu")]
 use crate::trace::gpu::{Adapters, GpuOptions, GpuTracer};
+use crate::trace::kernel::camera_ray;
 use crate::trace::{Cpu, DeviceInfo, Emulated, FrameRequest, Tracer};
 
 /// Draws scenes by ray tracing.
@@ -138,6 +140,50 @@ impl Renderer {
             total_time: start.elapsed(),
         };
         Ok(Frame { tracer: &*self.tracer, report })
+    }
+}
+
+/// Asking what is seen.
+impl Renderer {
+    /// What is seen at a pixel of the view, column and row counted from the upper left one: the node, triangle and point that a
+    /// frame of the scene as it is now would show there. `None` for the sky. Catches up with the scene as
+    /// [`render`](Self::render) does, then traces one ray, in main memory whatever the device.
+    ///
+    /// ```
+    /// use glam::{DVec3, Vec3};
+    /// use ropewalk::{Camera, Core, DeviceChoice, Geometry, Material, Renderer, RendererOptions, Scene, View};
+    ///
+    /// let mut scene = Scene::new();
+    /// let geometry = scene.add_geometry(Geometry::new([Vec3::NEG_X, Vec3::X, Vec3::Y], [[0, 1, 2]]))?;
+    /// let material = scene.add_material(Material::default())?;
+    /// let triangle = scene.add(scene.root(), Core::Geometry { geometry, material })?;
+    ///
+    /// let mut renderer = Renderer::new(&RendererOptions { device: DeviceChoice::Cpu })?;
+    /// let view = View::look_at(DVec3::new(0.0, 0.5, 3.0), DVec3::new(0.0, 0.5, 0.0), DVec3::Y, Camera::default(), 64, 48);
+    /// let hit = renderer.pick(&mut scene, &view, [32, 24])?.unwrap();
+    /// assert_eq!((hit.path.node, hit.triangle), (triangle, 0));
+    /// assert!(hit.position.distance(DVec3::new(0.0, 0.5, 0.0)) < 0.05);
+    /// assert!(renderer.pick(&mut scene, &view, [0, 0])?.is_none());
+    /// # Ok::<(), ropewalk::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`Error::OutOfRange`](crate::Error::OutOfRange) for a pixel outside the image, and as [`View::validate`];
+    /// [`Error::Limit`](crate::Error::Limit) if the scene is too large.
+    pub fn pick(&mut self, scene: &mut Scene, view: &View, [x, y]: [u32; 2]) -> Result<Option<Hit>> {
+        view.validate()?;
+        view.check_pixels(x..x.saturating_add(1), y..y.saturating_add(1))?;
+        self.compiler.compile(scene, view.observer())?;
+        let ray = camera_ray(&view.params(self.compiler.origin(), 0), x, y);
+        Ok(Queries::compiled(&self.compiler, scene)?.with_mask(view.ray_mask).closest_drawn(&ray))
+    }
+
+    /// Questions to the scene as it is now, by ray, region or point. Catches up with it first.
+    ///
+    /// # Errors
+    /// As [`Queries::new`].
+    pub fn queries<'a>(&'a mut self, scene: &'a mut Scene) -> Result<Queries<'a>> {
+        Queries::new(&mut self.compiler, scene)
     }
 }
 

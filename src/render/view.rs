@@ -1,11 +1,14 @@
 //! What is seen of a scene: a camera, an image size, a sky.
 
-use glam::{DAffine3, DVec3, Vec3};
+use std::ops::Range;
+
+use glam::{DAffine3, DMat3, DVec2, DVec3, Vec3};
 
 use crate::compile::{ImageHeight, Observer};
 use crate::device::layout::FrameParams;
 use crate::graph::{Camera, Core, NodeKey, Scene, Transform};
 use crate::math::Bounds;
+use crate::query::{HalfSpace, Region};
 use crate::{Error, Result, trace};
 
 /// What [`Renderer::render`](super::Renderer::render) draws.
@@ -117,6 +120,55 @@ impl View {
         require(up.try_normalize().is_some(), "sky up", &up, "finite and not zero")
     }
 
+    /// What can be seen of the world: from the camera on, within the image's edges. For
+    /// [`Queries::overlapping`](crate::Queries::overlapping).
+    ///
+    /// # Errors
+    /// As [`validate`](Self::validate), and [`Error::OutOfRange`] for an image without pixels or a pose whose axes lie in a plane.
+    pub fn frustum(&self) -> Result<Region> {
+        self.frustum_of(0..self.width, 0..self.height)
+    }
+
+    /// What can be seen of the world through these columns and rows of pixels, counted from the upper left one: what a
+    /// rubber band selects.
+    ///
+    /// # Errors
+    /// As [`frustum`](Self::frustum), and [`Error::OutOfRange`] for pixels outside the image, or none.
+    pub fn frustum_of(&self, columns: Range<u32>, rows: Range<u32>) -> Result<Region> {
+        self.validate()?;
+        self.check_pixels(columns.clone(), rows.clone())?;
+        let axes = self.world_from_view.matrix3;
+        let [right, up, back] = [axes.x_axis, axes.y_axis, axes.z_axis].map(DVec3::normalize_or_zero);
+        // Coordinates in the view, as rows: across, above and ahead.
+        let view_from_world = DMat3::from_cols(right, up, -back).inverse().transpose();
+        let [across, above, ahead] = [view_from_world.x_axis, view_from_world.y_axis, view_from_world.z_axis];
+
+        let (half_width, half_height, orthographic) = self.half_extent();
+        let (size, shift) = (DVec2::new(half_width.into(), half_height.into()), self.camera.shift().as_dvec2());
+        let place = |edge: u32, count: u32| f64::from(edge) / f64::from(count) * 2.0 - 1.0;
+        let low = (DVec2::new(place(columns.start, self.width), -place(rows.end, self.height)) + shift) * size;
+        let high = (DVec2::new(place(columns.end, self.width), -place(rows.start, self.height)) + shift) * size;
+
+        let eye = self.world_from_view.translation;
+        if orthographic == 0 {
+            let normals =
+                [ahead * low.x - across, across - ahead * high.x, ahead * low.y - above, above - ahead * high.y];
+            return Region::new(normals.map(|normal| HalfSpace::through(eye, normal)));
+        }
+        let sides = [(-across, -low.x), (across, high.x), (-above, -low.y), (above, high.y), (-ahead, 0.0)];
+        Region::new(sides.map(|(normal, out)| HalfSpace { normal, offset: normal.dot(eye) + out }))
+    }
+
+    /// Checks that there are such pixels.
+    pub(super) fn check_pixels(&self, columns: Range<u32>, rows: Range<u32>) -> Result<()> {
+        let is_within = |range: &Range<u32>, end| !range.is_empty() && range.end <= end;
+        if is_within(&columns, self.width) && is_within(&rows, self.height) {
+            return Ok(());
+        }
+        let value = format!("columns {columns:?}, rows {rows:?} of {} x {}", self.width, self.height);
+        Err(Error::OutOfRange { what: "pixel", value, expected: "inside the image" })
+    }
+
     /// Who looks, for levels of detail and billboards.
     pub fn observer(&self) -> Observer {
         let (_, half_height, orthographic) = self.half_extent();
@@ -131,14 +183,18 @@ impl View {
         let axes = self.world_from_view.matrix3;
         let [right, up, back] = [axes.x_axis, axes.y_axis, axes.z_axis].map(|axis| axis.normalize_or_zero().as_vec3());
         let (half_width, half_height, orthographic) = self.half_extent();
+        let (right, up, shift) = (right * half_width, up * half_height, self.camera.shift());
+        let (mut eye, mut forward) = ((self.world_from_view.translation - origin).as_vec3(), -back);
+        let to_center = right * shift.x + up * shift.y;
+        *(if orthographic == 0 { &mut forward } else { &mut eye }) += to_center;
         FrameParams {
-            eye: (self.world_from_view.translation - origin).as_vec3().to_array(),
+            eye: eye.to_array(),
             width: self.width,
-            right: (right * half_width).to_array(),
+            right: right.to_array(),
             height: self.height,
-            up: (up * half_height).to_array(),
+            up: up.to_array(),
             max_depth: self.max_depth,
-            forward: (-back).to_array(),
+            forward: forward.to_array(),
             orthographic,
             sky_zenith: self.sky.zenith.to_array(),
             ray_mask: self.ray_mask,
@@ -156,11 +212,11 @@ impl View {
     fn half_extent(&self) -> (f32, f32, u32) {
         let image_aspect = self.width.max(1) as f32 / self.height.max(1) as f32;
         let (half_width, half_height, orthographic) = match self.camera {
-            Camera::Perspective { y_fov, aspect } => {
+            Camera::Perspective { y_fov, aspect, .. } => {
                 let half_height = (y_fov * 0.5).tan();
                 (half_height * aspect.unwrap_or(image_aspect), half_height, 0)
             }
-            Camera::Orthographic { x_mag, y_mag } => (x_mag, y_mag, 1),
+            Camera::Orthographic { x_mag, y_mag, .. } => (x_mag, y_mag, 1),
         };
         let grown_width = half_width.max(half_height * image_aspect);
         let grown_height = half_height.max(half_width / image_aspect);

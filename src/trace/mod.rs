@@ -4,7 +4,7 @@ mod cpu;
 mod emulated;
 #[cfg(feature = "gpu")]
 pub mod gpu;
-mod kernel;
+pub(crate) mod kernel;
 mod planes;
 pub mod shader;
 

@@ -411,3 +411,17 @@ fn a_giant_leaves_no_trace_in_the_cost() {
     }
     assert_eq!(compared, 4000);
 }
+
+#[test]
+fn the_last_leaf_can_go_while_many_others_move() {
+    let mut boxes = field(200);
+    let mut built = build(&boxes);
+    while built.top_level.instance_count() > 110 {
+        let last = built.nodes.last().unwrap().primitives.first();
+        let changed = move_by(&mut boxes, 0..200, Vec3::splat(0.001));
+        boxes[last as usize] = Aabb::EMPTY;
+        assert!(matches!(built.update(&boxes, &changed), Update::Refitted { .. }));
+        check(&built, &boxes);
+        check_rays(&built, &mut Random(2));
+    }
+}

@@ -1,6 +1,6 @@
 //! Nodes: hierarchy, transforms, names, sharing, instances, cameras, lights, scenes; and what an error leaves behind.
 
-use glam::{DMat3, DVec3, Vec3};
+use glam::{DMat3, DVec3, Vec2, Vec3};
 use ropewalk::gltf::{self, ImportOptions, SceneChoice};
 use ropewalk::{Camera, Core, Error, Light, LightKind, Scene, Transform};
 use serde_json::json;
@@ -130,8 +130,8 @@ fn cameras() {
     let found: Vec<_> = report.cameras.iter().map(|c| (&*c.name, c.index)).collect();
     assert_eq!(found, [("main", 0), ("top", 1), ("main", 0), ("", 2)]);
     let core = |i: usize| scene.core(report.cameras[i].node).unwrap();
-    assert_eq!(*core(0), Core::Camera(Camera::Perspective { y_fov: 0.5, aspect: Some(1.5) }));
-    assert_eq!(*core(1), Core::Camera(Camera::Orthographic { x_mag: 2.0, y_mag: 3.0 }));
+    assert_eq!(*core(0), Core::Camera(Camera::Perspective { y_fov: 0.5, aspect: Some(1.5), shift: Vec2::ZERO }));
+    assert_eq!(*core(1), Core::Camera(Camera::orthographic(2.0, 3.0)));
     assert_eq!(scene.core_key(report.cameras[0].node).unwrap(), scene.core_key(report.cameras[2].node).unwrap());
     assert_eq!(scene.parent(report.cameras[1].node).unwrap(), report.nodes[1]);
     assert_eq!((report.camera("top"), report.camera("no")), (Some(report.cameras[1].node), None));

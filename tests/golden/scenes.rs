@@ -89,7 +89,7 @@ pub(crate) fn texture_wrap(scene: &mut Scene) -> Result<View> {
             scene.add(place, Core::Geometry { geometry: quad, material })?;
         }
     }
-    let camera = Camera::Orthographic { x_mag: 2.1, y_mag: 1.1 };
+    let camera = Camera::orthographic(2.1, 1.1);
     Ok(View { camera, ..look(DVec3::Z * 5.0, DVec3::ZERO) })
 }
 
@@ -242,7 +242,7 @@ pub(crate) fn orthographic_instances(scene: &mut Scene) -> Result<View> {
         }
     }
     add_sun(scene, 2.5)?;
-    let camera = Camera::Orthographic { x_mag: 5.0, y_mag: 3.75 };
+    let camera = Camera::orthographic(5.0, 3.75);
     Ok(View { camera, ..look(dvec3(10.0, 8.0, 10.0), dvec3(0.0, 0.3, 0.0)) })
 }
 
@@ -272,7 +272,7 @@ pub(crate) fn metallic_roughness(scene: &mut Scene) -> Result<View> {
         put(scene, shapes::cuboid(Vec3::splat(0.4)), material, place)?;
     }
     add_sun(scene, 3.0)?;
-    let camera = Camera::Perspective { y_fov: 0.66, aspect: None };
+    let camera = Camera::perspective(0.66);
     Ok(View { camera, ..look(dvec3(0.0, 0.6, 8.0), DVec3::ZERO) })
 }
 

@@ -16,7 +16,7 @@ use proptest::test_runner::TestRunner;
 use ropewalk::Scene;
 
 use model::Model;
-use random::{Issued, RawEdit};
+use random::{Issued, RawEdit, raw_edit};
 use reader::Reader;
 
 const READERS: usize = 3;
@@ -57,9 +57,8 @@ enum Step {
 }
 
 fn step() -> impl Strategy<Value = Step> {
-    let edit = (any::<u8>(), any::<u16>(), any::<u16>(), any::<u8>());
     prop_oneof![
-        20 => edit.prop_map(|(kind, a, b, value)| Step::Edit(RawEdit { kind, a, b, value })),
+        20 => raw_edit().prop_map(Step::Edit),
         2 => (0..READERS).prop_map(Step::Read),
         1 => (0..READERS * 4).prop_map(|reader| Step::Leave(reader.min(READERS - 1))),
         3 => Just(Step::Update),

@@ -3,6 +3,7 @@
 use std::f64::consts::FRAC_PI_2;
 
 use glam::{DAffine3, DMat3, DQuat, DVec3, Vec3, Vec4};
+use proptest::prelude::*;
 use ropewalk::{
     Billboard, Camera, Core, CoreKey, Geometry, GeometryKey, Keep, Light, LightKind, Lod, Material, MaterialKey,
     NodeKey, Object, Scene, Switch, Texture, TextureKey, TextureRef, Transform,
@@ -18,6 +19,11 @@ pub(crate) struct RawEdit {
     pub(crate) a: u16,
     pub(crate) b: u16,
     pub(crate) value: u8,
+}
+
+pub(crate) fn raw_edit() -> impl Strategy<Value = RawEdit> {
+    let numbers = (any::<u8>(), any::<u16>(), any::<u16>(), any::<u8>());
+    numbers.prop_map(|(kind, a, b, value)| RawEdit { kind, a, b, value })
 }
 
 /// All keys that the scene gave out, in that order.
@@ -152,7 +158,7 @@ fn light(value: u8) -> Light {
 }
 
 fn camera(value: u8) -> Camera {
-    Camera::Perspective { y_fov: [1.0, 0.5, 0.0, f32::INFINITY][usize::from(value % 4)], aspect: None }
+    Camera::perspective([1.0, 0.5, 0.0, f32::INFINITY][usize::from(value % 4)])
 }
 
 fn geometry(value: u8) -> Geometry {

@@ -13,7 +13,7 @@ fn two_mirrors_show_each_other_to_the_depth_asked_for() {
     let facing_back = DAffine3::from_translation(DVec3::Z) * DAffine3::from_rotation_y(std::f64::consts::PI);
     put(&mut scene, square(1.0), glowing_mirror, facing_back);
     for depth in 0..=View::MAX_DEPTH {
-        let camera = Camera::Orthographic { x_mag: 0.3, y_mag: 0.3 };
+        let camera = Camera::orthographic(0.3, 0.3);
         let mut view = View::look_at(DVec3::ZERO, DVec3::NEG_Z, DVec3::Y, camera, 4, 4);
         view.sky = black();
         view.max_depth = depth;
@@ -50,7 +50,7 @@ fn panes_do_not_bend_light() {
     let sky = Sky { up: Vec3::Z, zenith: Vec3::ZERO, horizon: Vec3::ZERO, ground: Vec3::ONE };
     // From both sides: straight ahead there is 1, tinted once, less one reflection, which sees the sky -cos(2) below its horizon.
     for (eye, up) in [(DVec3::Z * 4.0, Vec3::Z), (DVec3::Z * -4.0, Vec3::NEG_Z)] {
-        let camera = Camera::Orthographic { x_mag: 0.1, y_mag: 0.1 };
+        let camera = Camera::orthographic(0.1, 0.1);
         let mut view = View::look_at(eye, DVec3::ZERO, DVec3::Y, camera, 1, 1);
         view.sky = Sky { up, ..sky };
         let expected = Vec3::new(0.5, 1.0, 0.25) * (1.0 - fresnel(1.0f64.cos(), 1.0 / 1.5)) as f32;

@@ -76,7 +76,7 @@ pub fn put_light(scene: &mut Scene, kind: LightKind, intensity: f32, eye: DVec3,
 
 /// From (0, 0, 10) along -Z at the square from -1 to 1, without perspective.
 pub fn front(size: u32, sky: Sky) -> View {
-    let camera = Camera::Orthographic { x_mag: 1.0, y_mag: 1.0 };
+    let camera = Camera::orthographic(1.0, 1.0);
     View { sky, ..View::look_at(DVec3::new(0.0, 0.0, 10.0), DVec3::ZERO, DVec3::Y, camera, size, size) }
 }
 

@@ -40,7 +40,7 @@ pub(crate) fn build(scene: &mut Scene) -> Result<NodeKey> {
 
     let eye = Transform::looking_at(dvec3(0.50, 1.66, 5.25), dvec3(0.05, 1.34, 0.0), DVec3::Y);
     let eye_node = scene.add(root, eye)?;
-    let camera = scene.add(eye_node, Camera::Perspective { y_fov: 0.80, aspect: None })?;
+    let camera = scene.add(eye_node, Camera::perspective(0.80))?;
     scene.set_name(camera, "camera")?;
     Ok(camera)
 }

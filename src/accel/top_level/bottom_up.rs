@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use glam::Vec3;
+use glam::Vec4;
 use rayon::prelude::*;
 
 use super::cost::Areas;
@@ -14,12 +14,15 @@ use crate::math::Aabb;
 
 /// Subtrees of fewer nodes are refitted by one thread.
 const TASK_MINIMUM: usize = 1 << 13;
+/// And all of fewer nodes than this: other threads would come too late.
+const PARALLEL_MINIMUM: usize = 1 << 16;
 
 /// Computes all boxes anew, those of the leaves from `boxes`, and marks the nodes between the first and the last change of
 /// each task. Returns the areas, and whether any node changed. O(n), on all threads of the current rayon pool.
 pub(super) fn refit(nodes: &mut DeviceBuffer<Node>, boxes: &[Aabb]) -> (Areas, bool) {
     // 1. Subtrees, side by side.
     let (upper, tasks) = tasks(nodes);
+    let is_parallel = nodes.len() >= PARALLEL_MINIMUM;
     let mut rest = nodes.unmarked_mut();
     let mut rest_start = 0;
     let mut slices = Vec::with_capacity(tasks.len());
@@ -29,8 +32,9 @@ pub(super) fn refit(nodes: &mut DeviceBuffer<Node>, boxes: &[Aabb]) -> (Areas, b
         let Some(slice) = rest.split_off_mut(..task.len()) else { break };
         slices.push((task.start, slice));
     }
+    let refit = |(start, slice)| refit_subtree(slice, start, boxes);
     let refitted: Vec<Refitted> =
-        slices.into_par_iter().map(|(start, slice)| refit_subtree(slice, start, boxes)).collect();
+        if is_parallel { slices.into_par_iter().map(refit).collect() } else { slices.into_iter().map(refit).collect() };
     let (mut areas, mut has_changed) = (Areas::default(), false);
     for subtree in refitted {
         areas.add(subtree.areas);
@@ -76,35 +80,38 @@ struct Refitted {
 /// `start` is the index of the subtree's root in the whole array.
 fn refit_subtree(nodes: &mut [Node], start: usize, boxes: &[Aabb]) -> Refitted {
     let mut refitted = Refitted { areas: Areas::default(), changed: nodes.len()..0 };
-    // 1. Leaves, listed first: boxes come from all over memory, and without a branch between them many are on their way at once.
-    let mut listed = [0; TASK_MINIMUM];
-    let mut leaf_count = 0;
+    // 1. Leaves. Their boxes come from all over memory: fetched first, with nothing else in the loop, many are on their way at
+    // once.
+    let mut fetched = vec![(0, Aabb::EMPTY); nodes.len().div_ceil(2) + 1];
+    let mut inner = vec![0; nodes.len() / 2 + 1];
+    let (mut leaf_count, mut inner_count) = (0, 0);
     for (index, node) in nodes.iter().enumerate() {
-        listed[leaf_count] = index as u32;
-        leaf_count += usize::from(node.primitives != PrimitiveRange::INNER);
+        // Without a branch: which it is is a coin toss.
+        let is_leaf = node.primitives != PrimitiveRange::INNER;
+        // The last node is a leaf, and need not have an escape index to tell it by.
+        let is_unused_leaf = node.escape_index as usize == start + index + 1 || index + 1 == nodes.len();
+        fetched[leaf_count].0 = index;
+        inner[inner_count] = index;
+        leaf_count += usize::from(is_leaf);
+        inner_count += usize::from(!(is_leaf | is_unused_leaf));
     }
-    for &index in &listed[..leaf_count] {
-        let old = nodes[index as usize];
-        let slot = old.primitives.first();
-        let bounds = leaves::finite(boxes, slot);
-        let node = bounds.map_or(old, |bounds| flatten::leaf(slot, &bounds, old.escape_index));
-        refitted.areas.add_node(&node);
-        refitted.write(nodes, index as usize, &node);
+    for (index, bounds) in &mut fetched[..leaf_count] {
+        if let Some(current) = boxes.get(nodes[*index].primitives.first() as usize) {
+            *bounds = *current;
+        }
+    }
+    for (index, bounds) in &fetched[..leaf_count] {
+        let old = nodes[*index];
+        let node = leaves::finite(bounds).map_or(old, |b| flatten::leaf(old.primitives.first(), &b, old.escape_index));
+        refitted.areas.leaves += half_area(&node);
+        refitted.write(nodes, *index, &node);
     }
     // 2. Inner nodes, children before parents.
-    for index in (0..nodes.len()).rev() {
-        let old = nodes[index];
-        // The last node is one too, and where it ends the whole array, its escape index does not tell if it is unused.
-        let is_leaf = old.primitives != PrimitiveRange::INNER
-            || old.escape_index as usize == start + index + 1
-            || index + 1 == nodes.len();
-        if is_leaf {
-            continue;
-        }
+    for &index in inner[..inner_count].iter().rev() {
         let second = nodes[index + 1].escape_index as usize - start;
-        let node = around(&old, &nodes[index + 1], &nodes[second]);
+        let node = around(&nodes[index], &nodes[index + 1], &nodes[second]);
         if start + index > 0 {
-            refitted.areas.add_node(&node);
+            refitted.areas.inner += half_area(&node);
         }
         refitted.write(nodes, index, &node);
     }
@@ -115,7 +122,7 @@ fn refit_subtree(nodes: &mut [Node], start: usize, boxes: &[Aabb]) -> Refitted {
 impl Refitted {
     #[inline]
     fn write(&mut self, nodes: &mut [Node], index: usize, node: &Node) {
-        if nodes[index] != *node {
+        if bytemuck::cast::<_, [u64; 4]>(nodes[index]) != bytemuck::cast::<_, [u64; 4]>(*node) {
             nodes[index] = *node;
             self.changed = self.changed.start.min(index)..self.changed.end.max(index + 1);
         }
@@ -138,11 +145,10 @@ pub(super) fn around(node: &Node, a: &Node, b: &Node) -> Node {
     } else {
         (a, b)
     };
-    Node {
-        min: Vec3::from_array(a.min).min(Vec3::from_array(b.min)).to_array(),
-        max: Vec3::from_array(a.max).max(Vec3::from_array(b.max)).to_array(),
-        ..*node
-    }
+    // Four lanes at a time, of which the fourth is none of a box.
+    let [[node_min, node_max], [a_min, a_max], [b_min, b_max]] =
+        [node, a, b].map(|n| bytemuck::cast::<_, [Vec4; 2]>(*n));
+    bytemuck::cast([a_min.min(b_min).with_w(node_min.w), a_max.max(b_max).with_w(node_max.w)])
 }
 
 /// By how much the areas of a leaf's ancestors grow if the leaf gets this box; stops counting at `most`.

@@ -16,7 +16,9 @@ const TASK_MINIMUM: u32 = 1 << 11;
 #[inline]
 pub(super) fn leaf(slot: u32, bounds: &Aabb, escape_index: u32) -> Node {
     let (min, max) = padded(bounds.min, bounds.max);
-    Node { min: min.to_array(), escape_index, max: max.to_array(), primitives: PrimitiveRange::leaf(slot, 1) }
+    let lane = |bits| f32::from_bits(bits);
+    let primitives = bytemuck::cast(PrimitiveRange::leaf(slot, 1));
+    bytemuck::cast([min.extend(lane(escape_index)), max.extend(lane(primitives))])
 }
 
 /// How many nodes `tree` gives with `room` unused leaves beside it.

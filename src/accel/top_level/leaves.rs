@@ -110,10 +110,11 @@ pub(super) fn room(used: usize) -> usize {
     (used / 64).max((used / 4).min(8))
 }
 
-/// The box of a slot, cut to the range of `f32`, if there is something in it.
+/// A box cut to the range of `f32`, if there is something in it.
 #[inline]
-pub(super) fn finite(boxes: &[Aabb], slot: u32) -> Option<Aabb> {
+pub(super) fn finite(bounds: &Aabb) -> Option<Aabb> {
     let farthest = Vec3::splat(f32::MAX);
-    let bounds = boxes.get(slot as usize).filter(|b| !b.is_empty())?;
-    Some(Aabb { min: bounds.min.clamp(-farthest, farthest), max: bounds.max.clamp(-farthest, farthest) })
+    let cut =
+        |bounds: &Aabb| Aabb { min: bounds.min.clamp(-farthest, farthest), max: bounds.max.clamp(-farthest, farthest) };
+    (!bounds.is_empty()).then(|| cut(bounds))
 }

@@ -111,8 +111,8 @@ impl fmt::Display for Update {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Kept => f.write_str("kept"),
-            Self::Patched { instances, nodes } => write!(f, "patched ({instances} instances, {nodes} nodes)"),
-            Self::Refitted { instances } => write!(f, "refitted ({instances} instances)"),
+            Self::Patched { instances, nodes } => write!(f, "patched (instances: {instances}, nodes: {nodes})"),
+            Self::Refitted { instances } => write!(f, "refitted (instances: {instances})"),
             Self::Rebuilt(Rebuild::Empty) => f.write_str("built"),
             Self::Rebuilt(Rebuild::NoRoom) => f.write_str("rebuilt (no room for new instances)"),
             Self::Rebuilt(Rebuild::Sparse) => f.write_str("rebuilt (half empty)"),
@@ -245,14 +245,14 @@ impl TopLevel {
     pub fn validate(&self, nodes: &[Node], boxes: &[Aabb]) -> Result<(), StructureError> {
         let mut found = vec![false; boxes.len()];
         check_nodes(nodes, |range| {
-            let bounds = leaves::finite(boxes, range.first())?;
+            let bounds = boxes.get(range.first() as usize).and_then(leaves::finite)?;
             let is_new = range.count() == 1 && !std::mem::replace(&mut found[range.first() as usize], true);
             is_new.then_some(bounds)
         })?;
-        for (slot, found) in (0..).zip(found) {
+        for ((slot, found), bounds) in (0..).zip(found).zip(boxes) {
             let leaf = self.leaves.leaf(slot);
             let is_known = leaf.is_some_and(|leaf| nodes[leaf as usize].primitives == PrimitiveRange::leaf(slot, 1));
-            let expected = leaves::finite(boxes, slot).is_some();
+            let expected = leaves::finite(bounds).is_some();
             if found != expected || is_known != expected {
                 return Err(StructureError::Missing { primitive: slot });
             }
@@ -269,7 +269,7 @@ impl TopLevel {
         slot: u32,
         refits: bool,
     ) -> Result<bool, Rebuild> {
-        let bounds = leaves::finite(boxes, slot);
+        let bounds = boxes.get(slot as usize).and_then(leaves::finite);
         let leaf = match (self.leaves.leaf(slot), bounds) {
             (None, None) => return Ok(false),
             (Some(_), Some(_)) if refits => return Ok(true),

@@ -34,7 +34,7 @@ impl Order {
         let slot_mask = (1 << slot_bits) - 1;
         let instance = |key: &u64| {
             let slot = (key & slot_mask) as u32;
-            Cluster::instance(&finite(boxes, slot).unwrap_or(Aabb::EMPTY), slot)
+            Cluster::instance(&finite(&boxes[slot as usize]).unwrap_or(Aabb::EMPTY), slot)
         };
         let instances = keys.par_iter().with_min_len(CHUNK).map(instance).collect();
         Self { keys, instances, extent }

@@ -17,13 +17,14 @@ use std::ops::Range;
 
 use glam::DAffine3;
 use rayon::prelude::*;
-use slotmap::{Key, SecondaryMap, SlotMap};
+use slotmap::{Key, SecondaryMap};
 
 use self::boxes::Boxes;
 use super::assets::{StoredGeometry, Used};
 use super::bit_set::BitSet;
 use super::core::CoreSlot;
 use super::node::Node;
+use super::store::Store;
 use super::validate::check;
 use super::{Core, CoreKey, GeometryKey, MaterialKey, NodeKey};
 use crate::Result;
@@ -110,9 +111,11 @@ struct Pending {
 #[derive(Clone, Copy)]
 pub(super) struct Tree<'a> {
     pub(super) root: NodeKey,
-    pub(super) nodes: &'a SlotMap<NodeKey, Node>,
-    pub(super) cores: &'a SlotMap<CoreKey, CoreSlot>,
-    pub(super) geometries: &'a SlotMap<GeometryKey, Used<StoredGeometry>>,
+    pub(super) nodes: &'a Store<NodeKey, Node>,
+    pub(super) cores: &'a Store<CoreKey, CoreSlot>,
+    pub(super) geometries: &'a Store<GeometryKey, Used<StoredGeometry>>,
+    /// Whether any core is an instance.
+    pub(super) has_instances: bool,
 }
 
 impl<'a> Tree<'a> {

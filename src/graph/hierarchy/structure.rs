@@ -1,5 +1,6 @@
 //! Which entries there are: planting subtrees, and leaving gaps where some were removed.
 
+use std::collections::HashMap;
 use std::ops::Range;
 
 use slotmap::Key;
@@ -110,7 +111,9 @@ impl Hierarchy {
         self.own.reserve(capacity);
         self.first_entries.set_capacity(capacity);
         self.pending = Pending { is_built: true, ..Pending::default() };
-        self.plant(tree, tree.root, Self::NO_PARENT, false)
+        self.check_room(tree, tree.root)?;
+        self.plant(tree, tree.root, Self::NO_PARENT, false);
+        Ok(())
     }
 
     fn update_structure(&mut self, tree: Tree<'_>) -> Result<()> {
@@ -174,26 +177,18 @@ impl Hierarchy {
     /// Plants a subtree at the end of the arrays, below an entry that may lie anywhere before it.
     fn graft(&mut self, tree: Tree<'_>, node: NodeKey, parent: usize, instanced: bool) -> Result<()> {
         let start = self.nodes.len();
-        self.plant(tree, node, parent as u32, instanced)?;
+        self.check_room(tree, node)?;
+        self.plant(tree, node, parent as u32, instanced);
         self.grafts.entry(parent as u32).or_default().push(start as u32);
         self.grafted += self.nodes.len() - start;
         Ok(())
     }
 
     /// Appends entries for a node and all below it in preorder: what a node instances comes before its children.
-    fn plant(&mut self, tree: Tree<'_>, top: NodeKey, parent: u32, instanced: bool) -> Result<()> {
-        let limit = tree.nodes.len() + Self::MAX_INSTANCED;
+    fn plant(&mut self, tree: Tree<'_>, top: NodeKey, parent: u32, instanced: bool) {
         let first = self.nodes.len() as u32;
         let (mut node, mut parent, mut instanced) = (top, parent, instanced);
         'down: loop {
-            if self.nodes.len() >= limit + self.gaps.len() {
-                return Err(Error::Limit {
-                    what: "the scene with all instances of nodes",
-                    needed: self.nodes.len() as u64 + 1,
-                    limit: limit as u64,
-                    hint: "; instances of instances multiply",
-                });
-            }
             let entry = self.push(tree, node, parent, instanced);
             if let Some(target) = tree.target(node) {
                 (node, parent, instanced) = (target, entry, true);
@@ -209,7 +204,7 @@ impl Hierarchy {
                 self.ends[closed as usize] = self.nodes.len() as u32;
                 if closed == first {
                     self.pending.dirty.insert(first as usize);
-                    return Ok(());
+                    return;
                 }
                 let above = self.parents[closed as usize];
                 let next = if self.own[closed as usize].instanced {
@@ -224,6 +219,18 @@ impl Hierarchy {
                 closed = above;
             }
         }
+    }
+
+    /// Checks, before anything is allocated, that a subtree has not too many entries.
+    fn check_room(&self, tree: Tree<'_>, top: NodeKey) -> Result<()> {
+        if !tree.has_instances {
+            return Ok(());
+        }
+        let used = self.nodes.len() - self.gaps.len();
+        let needed = tree.entry_count(top).saturating_add(used as u64);
+        let limit = (tree.nodes.len() + Self::MAX_INSTANCED) as u64;
+        let (what, hint) = ("the scene with all instances of its nodes", "; instances of instances multiply");
+        if needed <= limit { Ok(()) } else { Err(Error::Limit { what, needed, limit, hint }) }
     }
 
     fn push(&mut self, tree: Tree<'_>, key: NodeKey, parent: u32, instanced: bool) -> u32 {
@@ -317,6 +324,47 @@ impl Tree<'_> {
             Core::Instance(target) => Some(target).filter(|&target| self.nodes.contains_key(target)),
             _ => None,
         }
+    }
+}
+
+impl Tree<'_> {
+    /// How many entries a node and all below it have. O(nodes that are shown there, each counted twice at most).
+    fn entry_count(self, top: NodeKey) -> u64 {
+        let mut counts: HashMap<NodeKey, u64> = HashMap::new();
+        let mut open = vec![top];
+        while let Some(&node) = open.last() {
+            let (mut count, before) = (0u64, open.len());
+            let mut next = Some(node);
+            while let Some(below) = next {
+                count = count.saturating_add(1);
+                match self.target(below).map(|target| (target, counts.get(&target))) {
+                    Some((_, Some(&more))) => count = count.saturating_add(more),
+                    Some((target, None)) => open.push(target),
+                    None => {}
+                }
+                next = self.after(node, below);
+            }
+            if open.len() == before {
+                counts.insert(node, count);
+                open.pop();
+            }
+        }
+        counts[&top]
+    }
+
+    /// The node after `node` in preorder, by children, at or below `top`.
+    fn after(self, top: NodeKey, mut node: NodeKey) -> Option<NodeKey> {
+        if let Some(child) = self.nodes[node].first_child {
+            return Some(child);
+        }
+        while node != top {
+            let slot = &self.nodes[node];
+            if slot.next_sibling.is_some() {
+                return slot.next_sibling;
+            }
+            node = slot.parent?;
+        }
+        None
     }
 }
 

@@ -13,6 +13,8 @@ mod texture;
 mod traverse;
 mod whitted;
 
+pub(crate) use camera::camera_ray;
+pub(crate) use material::is_hole;
 pub(crate) use traverse::{any_hit, closest_hit, transmittance};
 #[cfg(feature = "gpu")]
 pub(crate) use whitted::most_rays;

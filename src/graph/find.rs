@@ -1,0 +1,104 @@
+//! Finding nodes: by name, by path, by what they show.
+
+use super::{Core, GeometryKey, MaterialKey, NodeKey, Scene};
+use crate::Result;
+
+/// Finding nodes.
+impl Scene {
+    /// The first node in preorder that has this name. O(nodes).
+    pub fn find(&self, name: &str) -> Option<NodeKey> {
+        self.find_all(name).next()
+    }
+
+    /// All nodes that have this name, in preorder. O(nodes).
+    pub fn find_all<'a>(&'a self, name: &'a str) -> impl Iterator<Item = NodeKey> + 'a {
+        let all = self.descendants(self.root).into_iter().flatten();
+        all.filter(move |&node| *self.nodes[node].name == *name)
+    }
+
+    /// The first node in preorder that is reached from `top` by a path of names: a child of the first name, a child of that of
+    /// the second, and so on; `top` itself by no names. Where siblings share a name, all of them are tried. O(children of the
+    /// nodes on the ways tried).
+    ///
+    /// ```
+    /// use ropewalk::{Scene, Transform};
+    ///
+    /// let mut scene = Scene::new();
+    /// let arm = scene.add(scene.root(), Transform::IDENTITY)?;
+    /// let hand = scene.add(arm, Transform::IDENTITY)?;
+    /// scene.set_name(arm, "arm")?;
+    /// scene.set_name(hand, "hand")?;
+    ///
+    /// assert_eq!(scene.find_path(scene.root(), "arm/hand".split('/'))?, Some(hand));
+    /// // Names that contain the separator are segments of their own.
+    /// assert_eq!(scene.find_path(scene.root(), ["arm", "left/right"])?, None);
+    /// assert_eq!(scene.path_of(hand)?.join("/"), "arm/hand");
+    /// # Ok::<(), ropewalk::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`Error::StaleKey`](crate::Error::StaleKey).
+    pub fn find_path<S: AsRef<str>>(
+        &self,
+        top: NodeKey,
+        names: impl IntoIterator<Item = S>,
+    ) -> Result<Option<NodeKey>> {
+        let mut candidate = self.node(top)?.first_child;
+        let names: Vec<S> = names.into_iter().collect();
+        // How many names lead to the parent of the candidate.
+        let mut depth = 0;
+        let mut parent = top;
+        while depth < names.len() {
+            match candidate {
+                Some(node) if *self.nodes[node].name == *names[depth].as_ref() => {
+                    (parent, candidate) = (node, self.nodes[node].first_child);
+                    depth += 1;
+                }
+                Some(node) => candidate = self.nodes[node].next_sibling,
+                None if depth == 0 => return Ok(None),
+                // A dead end: the next one beside the parent.
+                None => {
+                    let Some(above) = self.nodes[parent].parent else { return Ok(None) };
+                    (parent, candidate) = (above, self.nodes[parent].next_sibling);
+                    depth -= 1;
+                }
+            }
+        }
+        Ok(Some(parent))
+    }
+
+    /// The names on the way from the root down to the node: the root's own is left out, the node's is last. It is what
+    /// [`find_path`](Self::find_path) follows from the root, to this node or to an earlier one of the same names. O(depth).
+    ///
+    /// # Errors
+    /// [`Error::StaleKey`](crate::Error::StaleKey).
+    pub fn path_of(&self, node: NodeKey) -> Result<Vec<&str>> {
+        let way = std::iter::once(node).chain(self.ancestors(node)?);
+        let mut names: Vec<&str> = way.filter(|&node| node != self.root).map(|node| &*self.nodes[node].name).collect();
+        names.reverse();
+        Ok(names)
+    }
+
+    /// The nodes whose core shows this geometry, in no particular order. O(cores + nodes found).
+    ///
+    /// # Errors
+    /// [`Error::StaleKey`](crate::Error::StaleKey).
+    pub fn geometry_users(&self, key: GeometryKey) -> Result<impl Iterator<Item = NodeKey>> {
+        self.geometry(key)?;
+        Ok(self.users_of(move |core| core.geometry() == Some(key)))
+    }
+
+    /// The nodes whose core names this material, material groups among them, in no particular order. O(cores + nodes found).
+    ///
+    /// # Errors
+    /// [`Error::StaleKey`](crate::Error::StaleKey).
+    pub fn material_users(&self, key: MaterialKey) -> Result<impl Iterator<Item = NodeKey>> {
+        self.material(key)?;
+        Ok(self.users_of(move |core| core.material() == Some(key)))
+    }
+
+    fn users_of(&self, uses: impl Fn(&Core) -> bool) -> impl Iterator<Item = NodeKey> {
+        let cores = self.cores.iter().filter(move |(_, slot)| uses(&slot.core));
+        cores.filter_map(|(key, _)| self.users(key).ok()).flatten()
+    }
+}

@@ -1,0 +1,194 @@
+//! The scene's storage: objects by generation-checked keys, which can also come back under the keys they had.
+
+use std::ops::{Index, IndexMut};
+
+use slotmap::{Key, KeyData};
+
+use super::key_map::{KeyMap, generation, slot};
+
+/// As [`slotmap::SlotMap`], with [`insert_at`](Self::insert_at). A key that was ever given out, to an object that is
+/// gone or not, is never given out again.
+#[derive(Debug)]
+pub(super) struct Store<K, V> {
+    values: KeyMap<K, V>,
+    /// By slot: the highest generation ever in it, 0 for none. The first slot is never used.
+    generations: Vec<u32>,
+    /// Every vacant slot that can be used, and some that are in use again.
+    free: Vec<u32>,
+    /// By slot: whether it is among `free`.
+    is_listed: Vec<bool>,
+}
+
+/// Generations are odd. A slot that has had the last one is never used again.
+const LAST_GENERATION: u32 = u32::MAX;
+
+impl<K: Key, V> Store<K, V> {
+    pub(super) fn new() -> Self {
+        Self { values: KeyMap::new(), generations: vec![0], free: Vec::new(), is_listed: vec![false] }
+    }
+
+    /// Stores a new object. O(1) amortised.
+    pub(super) fn insert(&mut self, value: V) -> K {
+        let slot = self.take_free_slot();
+        let generation = match self.generations[slot] {
+            0 => 1,
+            highest => highest + 2,
+        };
+        let key = KeyData::from_ffi(u64::from(generation) << 32 | slot as u64).into();
+        self.insert_at(key, value);
+        key
+    }
+
+    /// Stores an object under a key whose slot is vacant. O(1), or O(slots added).
+    pub(super) fn insert_at(&mut self, key: K, value: V) {
+        let slot = slot(key);
+        debug_assert!(self.values.key_at(slot).is_none(), "slot {slot} is in use");
+        self.add_slots(slot + 1);
+        self.generations[slot] = self.generations[slot].max(generation(key));
+        self.values.insert(key, value);
+    }
+
+    pub(super) fn remove(&mut self, key: K) -> Option<V> {
+        let value = self.values.remove(key)?;
+        self.list_free(slot(key));
+        Some(value)
+    }
+
+    pub(super) fn get(&self, key: K) -> Option<&V> {
+        self.values.get(key)
+    }
+
+    pub(super) fn contains_key(&self, key: K) -> bool {
+        self.values.contains_key(key)
+    }
+
+    /// The key of the object in this slot.
+    pub(super) fn key_at(&self, slot: usize) -> Option<K> {
+        self.values.key_at(slot)
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.values.len()
+    }
+
+    /// All objects, by rising slot. O(slots).
+    pub(super) fn iter(&self) -> impl DoubleEndedIterator<Item = (K, &V)> + Clone {
+        self.values.iter()
+    }
+
+    pub(super) fn keys(&self) -> impl DoubleEndedIterator<Item = K> {
+        self.iter().map(|(key, _)| key)
+    }
+
+    pub(super) fn values(&self) -> impl Iterator<Item = &V> + Clone {
+        self.iter().map(|(_, value)| value)
+    }
+
+    /// By slot: the highest generation ever in it.
+    pub(super) fn generations(&self) -> &[u32] {
+        &self.generations
+    }
+
+    /// Takes the generations of another store as having been in this one, so that their keys are not given out here.
+    /// O(slots).
+    pub(super) fn raise_generations(&mut self, generations: &[u32]) {
+        self.add_slots(generations.len());
+        for (own, &other) in self.generations.iter_mut().zip(generations) {
+            // 0, or odd as all are.
+            *own = (*own).max(if other == 0 { 0 } else { other | 1 });
+        }
+    }
+
+    fn take_free_slot(&mut self) -> usize {
+        while let Some(slot) = self.free.pop() {
+            let slot = slot as usize;
+            self.is_listed[slot] = false;
+            if self.values.key_at(slot).is_none() && self.generations[slot] != LAST_GENERATION {
+                return slot;
+            }
+        }
+        self.generations.push(0);
+        self.is_listed.push(false);
+        self.generations.len() - 1
+    }
+
+    /// Makes that there are `count` slots; the new ones are free, the lowest to be used first.
+    fn add_slots(&mut self, count: usize) {
+        let old_count = self.generations.len();
+        if count > old_count {
+            self.generations.resize(count, 0);
+            self.is_listed.resize(count, false);
+            (old_count..count).rev().for_each(|slot| self.list_free(slot));
+        }
+    }
+
+    fn list_free(&mut self, slot: usize) {
+        if !std::mem::replace(&mut self.is_listed[slot], true) {
+            self.free.push(slot as u32);
+        }
+    }
+}
+
+impl<K: Key, V> Index<K> for Store<K, V> {
+    type Output = V;
+
+    fn index(&self, key: K) -> &V {
+        &self.values[key]
+    }
+}
+
+impl<K: Key, V> IndexMut<K> for Store<K, V> {
+    fn index_mut(&mut self, key: K) -> &mut V {
+        &mut self.values[key]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::{HashMap, HashSet};
+
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::graph::NodeKey;
+
+    proptest! {
+        /// Against a map, with the keys of objects that are gone: none is ever given out again.
+        #[test]
+        fn keys_are_given_out_once(steps in prop::collection::vec((0_u8..4, any::<u16>()), 1..300)) {
+            let mut store: Store<NodeKey, usize> = Store::new();
+            let (mut model, mut issued) = (HashMap::new(), Vec::new());
+            for (value, (kind, number)) in steps.into_iter().enumerate() {
+                let key: Option<NodeKey> = issued.get(usize::from(number) % issued.len().max(1)).copied();
+                match (kind, key) {
+                    (0 | 1, _) => {
+                        let key = store.insert(value);
+                        prop_assert!(!issued.contains(&key));
+                        issued.push(key);
+                        model.insert(key, value);
+                    }
+                    (2, Some(key)) => prop_assert_eq!(store.remove(key), model.remove(&key)),
+                    (_, Some(key)) if store.key_at(slot(key)).is_none() => {
+                        store.insert_at(key, value);
+                        model.insert(key, value);
+                    }
+                    _ => {}
+                }
+                prop_assert!(issued.iter().all(|&key| store.get(key) == model.get(&key)));
+                prop_assert_eq!(store.iter().map(|(key, &value)| (key, value)).collect::<HashMap<_, _>>(), model.clone());
+                prop_assert_eq!(store.len(), model.len());
+                prop_assert!(store.free.len() < store.generations.len(), "a slot is listed once");
+            }
+        }
+    }
+
+    #[test]
+    fn a_slot_is_retired_after_its_last_generation_and_gaps_are_filled() {
+        let mut store: Store<NodeKey, ()> = Store::new();
+        let last: NodeKey = KeyData::from_ffi(u64::from(LAST_GENERATION) << 32 | 3).into();
+        store.insert_at(last, ());
+        assert_eq!(store.remove(last), Some(()));
+        let slots: HashSet<usize> = (0..3).map(|_| slot(store.insert(()))).collect();
+        assert_eq!(slots, HashSet::from([1, 2, 4]));
+    }
+}

@@ -1,0 +1,322 @@
+//! Whether a delta fits a scene: everything is found out before anything is touched.
+
+use std::collections::{HashMap, HashSet};
+
+use super::delta::Delta;
+use super::{NodeState, State};
+use crate::graph::ranges::{check_core, check_material, check_texture};
+use crate::graph::scene::stale;
+use crate::graph::{Core, CoreKey, NodeKey, Object, Scene};
+use crate::{Error, Result};
+
+/// How far beyond the slots in use the keys of a delta may lie, where it is not whole. Between two reads of the log an
+/// honest scene may create and free many objects; a forged key must not make this scene allocate without bound.
+const MOST_SLOTS_SKIPPED: usize = 1 << 20;
+
+/// Checks all that must hold of the scene after the delta. Gives the nodes of the delta in an order in which they can
+/// be put after their siblings.
+pub(super) fn check(scene: &Scene, delta: &Delta) -> Result<Vec<NodeKey>> {
+    let after = After { scene, delta };
+    check_order(scene, delta)?;
+    for (object, state) in delta.objects() {
+        match state {
+            Some(state) => after.check_state(object, state)?,
+            None => after.check_removal(object)?,
+        }
+    }
+    after.check_root()?;
+    after.check_uses()?;
+    after.check_siblings()?;
+    after.check_cycles()?;
+    match order_of_siblings(delta) {
+        (order, None) => Ok(order),
+        (_, Some(node)) => Err(misfit(node, "it is to come after itself")),
+    }
+}
+
+/// Checks that no object comes twice, and that no two are to have one slot.
+fn check_order(scene: &Scene, delta: &Delta) -> Result<()> {
+    if let Some(pair) = delta.objects.windows(2).find(|pair| pair[0].0 >= pair[1].0) {
+        return Err(misfit(pair[1].0, "it comes twice, or out of order"));
+    }
+    // Generations of one slot come one after the other.
+    let there = delta.objects.iter().filter(|(_, state)| state.is_some());
+    let slots = there.map(|&(object, _)| (object, std::mem::discriminant(&object), scene.place(object).0));
+    let mut last = None;
+    for (object, kind, slot) in slots {
+        if last.replace((kind, slot)) == Some((kind, slot)) {
+            return Err(misfit(object, "another object is to have its slot too"));
+        }
+    }
+    Ok(())
+}
+
+/// The nodes of a delta, each after its previous sibling if that is in the delta too; and one that is to come after
+/// itself, if there is any. O(nodes).
+pub(super) fn order_of_siblings(delta: &Delta) -> (Vec<NodeKey>, Option<NodeKey>) {
+    let (mut order, mut circular) = (Vec::new(), None);
+    let mut seen = HashSet::new();
+    let mut chain = Vec::new();
+    for (object, state) in delta.objects() {
+        let mut next = Some((object, state));
+        while let Some((Object::Node(node), Some(State::Node(state)))) = next {
+            if !seen.insert(node) {
+                // Already in order, unless this very chain has come around.
+                circular = circular.or_else(|| chain.contains(&node).then_some(node));
+                break;
+            }
+            chain.push(node);
+            let previous = state.previous_sibling.map(Object::from);
+            next = previous.and_then(|previous| Some((previous, delta.get(previous)?.as_ref())));
+        }
+        order.extend(chain.drain(..).rev());
+    }
+    (order, circular)
+}
+
+/// A scene as it will be after a delta.
+struct After<'a> {
+    scene: &'a Scene,
+    delta: &'a Delta,
+}
+
+impl After<'_> {
+    fn has(&self, object: Object) -> bool {
+        self.delta.get(object).map_or_else(|| self.scene.has(object), Option::is_some)
+    }
+
+    fn require(&self, object: Object) -> Result<()> {
+        if self.has(object) { Ok(()) } else { Err(stale(object)) }
+    }
+
+    fn parent(&self, node: NodeKey) -> Option<NodeKey> {
+        match self.delta.get(node.into()) {
+            Some(Some(State::Node(state))) => state.parent,
+            Some(_) => None,
+            None => self.scene.nodes.get(node)?.parent,
+        }
+    }
+
+    fn core(&self, core: CoreKey) -> Option<&Core> {
+        match self.delta.get(core.into()) {
+            Some(Some(State::Core(core))) => Some(core),
+            Some(_) => None,
+            None => self.scene.core_of(core).ok(),
+        }
+    }
+
+    fn check_state(&self, object: Object, state: &State) -> Result<()> {
+        if !state.fits(object) {
+            return Err(misfit(object, "its state is that of another kind of object"));
+        }
+        if !self.scene.has(object) {
+            self.check_key(object)?;
+        }
+        state.references().into_iter().try_for_each(|used| self.require(used))?;
+        match state {
+            State::Node(node) => self.check_node(object, node),
+            State::Core(core) => check_core(core),
+            State::Geometry(geometry) => match object {
+                Object::Geometry(key) if self.scene.geometry(key).is_ok_and(|old| old.is_same(geometry)) => Ok(()),
+                _ => geometry.validate(),
+            },
+            State::Material(material) => check_material(material),
+            State::Texture(texture) => check_texture(texture),
+        }
+    }
+
+    /// Whether an object that the scene has not can get its key.
+    fn check_key(&self, object: Object) -> Result<()> {
+        let (slot, occupant, slot_count) = self.scene.place(object);
+        if slot == 0 || slot >= u32::MAX as usize {
+            return Err(misfit(object, "no scene gives out its key"));
+        }
+        if occupant.is_some_and(|occupant| self.has(occupant)) {
+            return Err(misfit(object, "another object has its slot"));
+        }
+        let given_out = self.delta.whole.as_ref().map_or(0, |generations| match object {
+            Object::Node(_) => generations.nodes.len(),
+            Object::Core(_) => generations.cores.len(),
+            Object::Geometry(_) => generations.geometries.len(),
+            Object::Material(_) => generations.materials.len(),
+            Object::Texture(_) => generations.textures.len(),
+        });
+        let skippable = if self.delta.is_whole() { 0 } else { MOST_SLOTS_SKIPPED };
+        let limit = slot_count.max(given_out) + skippable;
+        if slot < limit {
+            return Ok(());
+        }
+        let hint = "; the delta is damaged, or so many objects came and went since the last that a whole one is needed";
+        Err(Error::Limit { what: "a key's slot in a delta", needed: slot as u64, limit: limit as u64, hint })
+    }
+
+    fn check_node(&self, object: Object, node: &NodeState) -> Result<()> {
+        let is_root = object == self.scene.root.into();
+        match (node.parent, node.previous_sibling) {
+            (None, None) if is_root => Ok(()),
+            (_, _) if is_root => Err(Error::Root { attempt: "moved" }),
+            (None, _) => Err(misfit(object, "it is to have no parent, as only the root has")),
+            (Some(parent), previous) => {
+                self.require(parent.into())?;
+                let Some(previous) = previous else { return Ok(()) };
+                self.require(previous.into())?;
+                if self.parent(previous) == Some(parent) {
+                    Ok(())
+                } else {
+                    Err(misfit(object, "it is to come after a node with another parent"))
+                }
+            }
+        }
+    }
+
+    /// Whether nothing stays below a node that goes. (That nothing goes below it, its new children's states tell.)
+    fn check_removal(&self, object: Object) -> Result<()> {
+        let Object::Node(node) = object else { return Ok(()) };
+        if node == self.scene.root {
+            return Err(Error::Root { attempt: "removed" });
+        }
+        let mut children = self.scene.children(node).into_iter().flatten();
+        match children.find(|&child| self.delta.get(child.into()).is_none()) {
+            Some(child) => Err(misfit(child, "its parent is to go, but it is to stay")),
+            None => Ok(()),
+        }
+    }
+
+    fn check_root(&self) -> Result<()> {
+        let core = match self.delta.get(self.scene.root.into()) {
+            Some(Some(State::Node(root))) => root.core,
+            _ => self.scene.nodes[self.scene.root].core,
+        };
+        match self.core(core) {
+            Some(Core::Group) => Ok(()),
+            _ => Err(Error::Root { attempt: "given a core other than a group" }),
+        }
+    }
+
+    /// Whether all users of what goes go too, or use something else.
+    fn check_uses(&self) -> Result<()> {
+        if self.delta.objects.iter().all(|(_, state)| state.is_some()) {
+            return Ok(());
+        }
+        let mut ended_uses: HashMap<Object, usize> = HashMap::new();
+        for old in self.delta.objects.iter().filter_map(|&(object, _)| self.scene.state(object)) {
+            for used in old.references().into_iter().filter(|&used| matches!(self.delta.get(used), Some(None))) {
+                *ended_uses.entry(used).or_default() += 1;
+            }
+        }
+        for (object, _) in self.delta.objects().filter(|(object, state)| state.is_none() && self.scene.has(*object)) {
+            let user_count = match object {
+                Object::Node(key) => self.scene.instancers.get(&key).map_or(0, Vec::len),
+                Object::Core(key) => self.scene.cores[key].user_count,
+                Object::Geometry(key) => self.scene.geometries[key].user_count,
+                Object::Material(key) => self.scene.materials[key].user_count,
+                Object::Texture(key) => self.scene.textures[key].user_count,
+            };
+            if user_count != ended_uses.get(&object).copied().unwrap_or(0) {
+                return Err(misfit(object, "it is to go, but something still uses it"));
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether no two nodes are to come after the same one.
+    fn check_siblings(&self) -> Result<()> {
+        let mut places = HashSet::new();
+        for (object, state) in self.delta.objects() {
+            if let Some(State::Node(node)) = state
+                && !places.insert((node.parent, node.previous_sibling))
+            {
+                return Err(misfit(object, "another node is to have its place among its siblings"));
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether no node comes to be below itself, or to be shown by an instance below it. O(all above what moves), and
+    /// O(instances) if there are any.
+    fn check_cycles(&self) -> Result<()> {
+        enum Visit {
+            Enter(NodeKey),
+            Leave(NodeKey),
+        }
+        let starts = self.ends_of_new_links();
+        let shown_by = if starts.is_empty() { HashMap::new() } else { self.nodes_that_instance() };
+        let (mut done, mut path) = (HashSet::from([self.scene.root]), HashSet::new());
+        for start in starts {
+            let mut open = vec![Visit::Enter(start)];
+            while let Some(visit) = open.pop() {
+                match visit {
+                    Visit::Leave(node) => {
+                        path.remove(&node);
+                        done.insert(node);
+                    }
+                    Visit::Enter(node) if done.contains(&node) => {}
+                    Visit::Enter(node) if !path.insert(node) => {
+                        return Err(Error::Cycle { node: start.into(), parent: node.into() });
+                    }
+                    Visit::Enter(node) => {
+                        open.push(Visit::Leave(node));
+                        let above =
+                            self.parent(node).into_iter().chain(shown_by.get(&node).into_iter().flatten().copied());
+                        open.extend(above.map(Visit::Enter));
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Of each new link between a node and its parent or its instance, the node. Each cycle has one.
+    fn ends_of_new_links(&self) -> Vec<NodeKey> {
+        let mut ends = Vec::new();
+        for (object, state) in self.delta.objects() {
+            match (object, state) {
+                (Object::Node(key), Some(State::Node(state))) => {
+                    let old = self.scene.nodes.get(key);
+                    if old.is_none_or(|old| old.parent != state.parent) {
+                        ends.push(key);
+                    }
+                    if old.is_none_or(|old| old.core != state.core) {
+                        ends.extend(self.core(state.core).and_then(Core::target));
+                    }
+                }
+                (_, Some(State::Core(core))) => ends.extend(core.target()),
+                _ => {}
+            }
+        }
+        ends
+    }
+
+    /// The nodes with cores that instance each node.
+    fn nodes_that_instance(&self) -> HashMap<NodeKey, Vec<NodeKey>> {
+        let old = self.scene.instancers.values().flatten().copied();
+        let new = self.delta.objects().filter_map(|(object, _)| match object {
+            Object::Core(key) => Some(key),
+            _ => None,
+        });
+        let cores = old.chain(new);
+        let targets: HashMap<CoreKey, NodeKey> =
+            cores.filter_map(|key| Some((key, self.core(key)?.target()?))).collect();
+
+        let stays = |user: &NodeKey| self.delta.get((*user).into()).is_none();
+        let old = targets.keys().flat_map(|&key| {
+            let users = self.scene.users(key).into_iter().flatten();
+            users.filter(stays).map(move |user| (user, key))
+        });
+        let new = self.delta.objects().filter_map(|(object, state)| match (object, state) {
+            (Object::Node(key), Some(State::Node(state))) => Some((key, state.core)),
+            _ => None,
+        });
+        let mut instancing: HashMap<NodeKey, Vec<NodeKey>> = HashMap::new();
+        for (user, core) in old.chain(new) {
+            if let Some(&target) = targets.get(&core) {
+                instancing.entry(target).or_default().push(user);
+            }
+        }
+        instancing
+    }
+}
+
+fn misfit(object: impl Into<Object>, what: &'static str) -> Error {
+    Error::Delta { object: object.into(), what }
+}

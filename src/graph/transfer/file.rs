@@ -1,0 +1,191 @@
+//! Scene files: a header, then frames, each a checked and checksummed delta. `docs/FILE_FORMAT.md` has the layout.
+
+use std::io::{self, Read, Write};
+use std::path::Path;
+
+use super::{Delta, Replay};
+use crate::graph::Scene;
+use crate::whole_file::write_whole;
+use crate::{Error, Result};
+
+/// What a scene file or recording begins with.
+const MAGIC: [u8; 8] = *b"ROPEWALK";
+
+/// The version of the format that is written, and the newest that is read.
+const VERSION: u32 = 1;
+
+/// What is wrong with a scene file or recording.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SceneFileFault {
+    /// It does not begin as such a file does.
+    #[error("this is not a Ropewalk scene or recording")]
+    NotAScene,
+    /// A later version of Ropewalk wrote it.
+    #[error("format version {found} is newer than {supported}, the newest that this version of Ropewalk reads")]
+    Newer {
+        /// The version of its format.
+        found: u32,
+        /// The newest that can be read.
+        supported: u32,
+    },
+    /// It ends too early: the copy is incomplete, or the program that wrote it was ended.
+    #[error("the file ends within it")]
+    Truncated,
+    /// Its content is not what was written.
+    #[error("its checksum is {found:08x}, not {expected:08x}: the file is damaged")]
+    Checksum {
+        /// As the file says.
+        expected: u32,
+        /// As its content says.
+        found: u32,
+    },
+    /// It is not the serialised form of a delta.
+    #[error("it cannot be decoded: {cause}")]
+    Encoding {
+        /// What the decoder said.
+        cause: String,
+    },
+    /// It can be read, but does not fit the scene before it.
+    #[error("{0}")]
+    Misfit(Box<Error>),
+}
+
+/// Files.
+impl Scene {
+    /// Writes the whole scene to a file. [`load`](Self::load) gives it back, its keys included; saved again it is the
+    /// same file, byte for byte. O(scene).
+    ///
+    /// What is saved is what [`snapshot`](Self::snapshot) has: not what undo knows, nor cursors. Arrays that several
+    /// geometries share are written for each.
+    ///
+    /// The file appears whole or not at all: it is written beside its place under another name and then moved.
+    ///
+    /// ```
+    /// use ropewalk::{Core, Scene};
+    ///
+    /// let mut scene = Scene::new();
+    /// let node = scene.add(scene.root(), Core::Group)?;
+    /// scene.set_name(node, "arm")?;
+    /// let folder = tempfile::tempdir().expect("a temporary folder");
+    /// let path = folder.path().join("arm.ropewalk");
+    /// scene.save(&path)?;
+    ///
+    /// let loaded = Scene::load(&path)?;
+    /// assert_eq!(loaded.name(node)?, "arm");
+    /// assert_eq!(loaded.snapshot(), scene.snapshot());
+    /// # Ok::<(), ropewalk::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`Error::Io`]: most often the folder does not exist or may not be written to. An older file of that name stays
+    /// as it was.
+    pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
+        let path = path.as_ref();
+        let mut bytes = Vec::new();
+        let written = write_header(&mut bytes).and_then(|()| write_frame(&mut bytes, &self.snapshot()));
+        written.and_then(|()| write_whole(path, &bytes)).map_err(|source| Error::Io { path: path.to_owned(), source })
+    }
+
+    /// Reads a scene that was [saved](Self::save), or the last state in a [recording](super::Recorder). Keys of the
+    /// saved scene are valid for the loaded one, and those that were stale stay so. O(scene); memory in proportion to
+    /// the file's size, whatever is in it.
+    ///
+    /// # Errors
+    /// [`Error::Io`] where the file cannot be read; [`Error::SceneFile`] where it is not such a file, is damaged, or is
+    /// from a later version. Nothing in a file is believed: what it says is checked as any edit is.
+    pub fn load(path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref();
+        let mut replay = Replay::open(path)?;
+        let mut scene = Self::new();
+        if !replay.apply_next(&mut scene)? {
+            return Err(Error::SceneFile { path: path.to_owned(), frame: 0, fault: SceneFileFault::Truncated });
+        }
+        while replay.apply_next(&mut scene)? {}
+        Ok(scene)
+    }
+}
+
+/// Why a part of a file could not be read.
+#[derive(Debug)]
+pub(super) enum ReadFault {
+    Io(io::Error),
+    File(SceneFileFault),
+}
+
+impl ReadFault {
+    pub(super) fn at(self, path: &Path, frame: usize) -> Error {
+        match self {
+            Self::Io(source) => Error::Io { path: path.to_owned(), source },
+            Self::File(fault) => Error::SceneFile { path: path.to_owned(), frame, fault },
+        }
+    }
+}
+
+impl From<SceneFileFault> for ReadFault {
+    fn from(fault: SceneFileFault) -> Self {
+        Self::File(fault)
+    }
+}
+
+pub(super) fn write_header(file: &mut impl Write) -> io::Result<()> {
+    file.write_all(&MAGIC)?;
+    file.write_all(&VERSION.to_le_bytes())
+}
+
+pub(super) fn read_header(file: &mut impl Read) -> Result<(), ReadFault> {
+    let header: [u8; 12] = read_array(file)?.ok_or(SceneFileFault::NotAScene)?;
+    let (magic, version) = header.split_at(MAGIC.len());
+    if magic != MAGIC {
+        return Err(SceneFileFault::NotAScene.into());
+    }
+    match u32_at(version, 0) {
+        found if found > VERSION => Err(SceneFileFault::Newer { found, supported: VERSION }.into()),
+        _ => Ok(()),
+    }
+}
+
+pub(super) fn write_frame(file: &mut impl Write, delta: &Delta) -> io::Result<()> {
+    let body = postcard::to_stdvec(delta).map_err(io::Error::other)?;
+    file.write_all(&(body.len() as u64).to_le_bytes())?;
+    file.write_all(&crc32fast::hash(&body).to_le_bytes())?;
+    file.write_all(&body)
+}
+
+/// The next frame; `None` at the end of the file.
+pub(super) fn read_frame(file: &mut impl Read) -> Result<Option<Delta>, ReadFault> {
+    let Some(head) = read_array::<12>(file)? else { return Ok(None) };
+    let length = u64::from(u32_at(&head, 0)) | u64::from(u32_at(&head, 4)) << 32;
+    let expected = u32_at(&head, 8);
+
+    // Allocates what there is, whatever the length says.
+    let mut body = Vec::new();
+    file.take(length).read_to_end(&mut body).map_err(ReadFault::Io)?;
+    if (body.len() as u64) < length {
+        return Err(SceneFileFault::Truncated.into());
+    }
+    let found = crc32fast::hash(&body);
+    if found != expected {
+        return Err(SceneFileFault::Checksum { expected, found }.into());
+    }
+    match postcard::take_from_bytes(&body) {
+        Ok((delta, [])) => Ok(Some(delta)),
+        Ok((_, rest)) => Err(SceneFileFault::Encoding { cause: format!("{} bytes are left over", rest.len()) }.into()),
+        Err(error) => Err(SceneFileFault::Encoding { cause: error.to_string() }.into()),
+    }
+}
+
+/// Bytes of which there are all or, at the end of the file, none.
+fn read_array<const N: usize>(file: &mut impl Read) -> Result<Option<[u8; N]>, ReadFault> {
+    let mut bytes = Vec::with_capacity(N);
+    file.take(N as u64).read_to_end(&mut bytes).map_err(ReadFault::Io)?;
+    match <[u8; N]>::try_from(bytes) {
+        Ok(array) => Ok(Some(array)),
+        Err(bytes) if bytes.is_empty() => Ok(None),
+        Err(_) => Err(SceneFileFault::Truncated.into()),
+    }
+}
+
+fn u32_at(bytes: &[u8], start: usize) -> u32 {
+    bytes[start..].iter().take(4).rev().fold(0, |number, &byte| number << 8 | u32::from(byte))
+}

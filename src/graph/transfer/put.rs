@@ -1,0 +1,230 @@
+//! Making a scene be as a delta says, which fits it.
+
+use super::delta::Delta;
+use super::{NodeState, State};
+use crate::graph::assets::{StoredGeometry, Used};
+use crate::graph::changes::Change;
+use crate::graph::core::CoreSlot;
+use crate::graph::cores::Structural;
+use crate::graph::node::Node;
+use crate::graph::{Core, CoreKey, Geometry, GeometryKey, Material, MaterialKey, NodeKey, Object};
+use crate::graph::{Scene, Texture, TextureKey};
+
+impl Scene {
+    /// Makes the objects be as a checked delta says. `order` are its nodes, each after its previous sibling.
+    pub(super) fn put(&mut self, delta: &Delta, order: &[NodeKey]) {
+        // What loses its last user here is freed if the delta says so.
+        self.keeps_unused = true;
+        // 1. End the uses of what is going to be used no more, so that nothing refers to what goes.
+        for (object, state) in delta.objects() {
+            self.end_uses(object, state);
+        }
+        // 2. Take out what goes, so that slots are vacant.
+        self.uproot_removed(delta);
+        for (object, _) in delta.objects().filter(|(_, state)| state.is_none()) {
+            self.take_out(object);
+        }
+        // 3. Put in what comes and change what stays: what is used before what uses it.
+        for (object, state) in delta.objects.iter().rev() {
+            match (*object, state) {
+                (Object::Texture(key), Some(State::Texture(texture))) => self.put_texture(key, texture),
+                (Object::Material(key), Some(State::Material(material))) => self.put_material(key, material),
+                (Object::Geometry(key), Some(State::Geometry(geometry))) => self.put_geometry(key, geometry),
+                (Object::Core(key), Some(State::Core(core))) => self.put_core(key, core),
+                (Object::Node(key), Some(State::Node(node))) => self.put_node(key, node),
+                _ => {}
+            }
+        }
+        // 4. Now that all nodes are there, put them in their places.
+        for &node in order {
+            if let Some(Some(State::Node(state))) = delta.get(node.into()) {
+                self.place_node(node, state);
+            }
+        }
+        self.keeps_unused = false;
+    }
+
+    fn end_uses(&mut self, object: Object, state: Option<&State>) {
+        match (object, state) {
+            (Object::Node(key), state) if self.nodes.contains_key(key) => {
+                let core = self.nodes[key].core;
+                if !matches!(state, Some(State::Node(new)) if new.core == core) {
+                    self.touch(key);
+                    self.unlink_user(key, core);
+                }
+            }
+            (Object::Core(key), state) if self.cores.contains_key(key) => {
+                let core = &self.cores[key].core;
+                if !matches!(state, Some(State::Core(new)) if new == core) {
+                    let core = core.clone();
+                    self.touch(key);
+                    self.release_assets(key, &core);
+                }
+            }
+            (Object::Material(key), state) if self.materials.contains_key(key) => {
+                let material = &self.materials[key].value;
+                if !matches!(state, Some(State::Material(new)) if **new == *material) {
+                    let material = material.clone();
+                    self.touch(key);
+                    self.release_textures(&material);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// Tells the hierarchy of the nodes that go: those whose parents stay say it for all below them.
+    fn uproot_removed(&mut self, delta: &Delta) {
+        let goes = |node: NodeKey| matches!(delta.get(node.into()), Some(None));
+        for (object, _) in delta.objects() {
+            if let Object::Node(key) = object
+                && goes(key)
+                && self.nodes.get(key).is_some_and(|node| node.parent.is_some_and(|parent| !goes(parent)))
+            {
+                self.hierarchy.subtree_removed(key);
+            }
+        }
+    }
+
+    fn take_out(&mut self, object: Object) {
+        if !self.has(object) {
+            return;
+        }
+        self.touch(object);
+        match object {
+            Object::Node(key) => {
+                // Some go too, some are going to get other parents.
+                while let Some(child) = self.nodes[key].first_child {
+                    self.unlink_child(child);
+                }
+                let parent = self.nodes[key].parent;
+                self.unlink_child(key);
+                self.nodes.remove(key);
+                parent.into_iter().for_each(|parent| self.children_changed(parent));
+            }
+            Object::Core(key) => drop(self.cores.remove(key)),
+            Object::Geometry(key) => drop(self.geometries.remove(key)),
+            Object::Material(key) => drop(self.materials.remove(key)),
+            Object::Texture(key) => drop(self.textures.remove(key)),
+        }
+        self.record(object, Change::REMOVED);
+    }
+
+    fn put_texture(&mut self, key: TextureKey, texture: &Texture) {
+        match self.textures.get(key) {
+            None => {
+                self.textures.insert_at(key, Used::new(texture.clone()));
+                self.record(key, Change::ADDED);
+            }
+            Some(old) if old.value == *texture => {}
+            Some(_) => {
+                self.touch(key);
+                self.textures[key].value = texture.clone();
+                self.record(key, Change::DATA);
+            }
+        }
+    }
+
+    fn put_material(&mut self, key: MaterialKey, material: &Material) {
+        match self.materials.get(key) {
+            None => {
+                self.acquire_textures(material);
+                self.materials.insert_at(key, Used::new(material.clone()));
+                self.record(key, Change::ADDED);
+            }
+            Some(old) if old.value == *material => {}
+            Some(_) => {
+                self.acquire_textures(material);
+                self.materials[key].value = material.clone();
+                self.record(key, Change::DATA);
+            }
+        }
+    }
+
+    fn put_geometry(&mut self, key: GeometryKey, geometry: &Geometry) {
+        match self.geometries.get(key) {
+            None => {
+                // Higher than all versions that it had when it was there before: each was a change.
+                let stored = StoredGeometry::of_valid(geometry.clone(), self.revision());
+                self.geometries.insert_at(key, Used::new(stored));
+                self.record(key, Change::ADDED);
+            }
+            Some(old) if old.value.geometry.is_same(geometry) => {}
+            Some(old) => {
+                let stored = StoredGeometry::of_valid(geometry.clone(), old.value.version + 1);
+                let resized = old.value.bounds != stored.bounds;
+                self.touch(key);
+                self.geometries[key].value = stored;
+                if resized {
+                    self.boxes_changed(key);
+                }
+                self.record(key, Change::DATA);
+            }
+        }
+    }
+
+    fn put_core(&mut self, key: CoreKey, core: &Core) {
+        match self.cores.get(key) {
+            None => {
+                self.cores.insert_at(key, CoreSlot::new(core.clone()));
+                self.acquire_assets(key, core);
+                self.record(key, Change::ADDED);
+            }
+            Some(old) if old.core == *core => {}
+            Some(_) => {
+                self.acquire_assets(key, core);
+                self.replace_core(key, core.clone());
+            }
+        }
+    }
+
+    /// All of a node but its place among its family.
+    fn put_node(&mut self, key: NodeKey, state: &NodeState) {
+        let Some(node) = self.nodes.get(key) else {
+            // It may have been here before, and have left entries that were not yet caught up with.
+            self.hierarchy.subtree_removed(key);
+            let node = Node::new(state.core);
+            let node = Node { mask: state.mask, visible: state.visible, name: state.name.clone(), ..node };
+            self.nodes.insert_at(key, node);
+            self.link_user(key, state.core);
+            self.record(key, Change::ADDED);
+            return;
+        };
+        let mut change = Change::empty();
+        change.set(Change::CORE, node.core != state.core);
+        change.set(Change::MASK, node.mask != state.mask);
+        change.set(Change::VISIBILITY, node.visible != state.visible);
+        change.set(Change::NAME, node.name != state.name);
+        if change.is_empty() {
+            return;
+        }
+        self.touch(key);
+        let node = &mut self.nodes[key];
+        (node.mask, node.visible) = (state.mask, state.visible);
+        node.name.clone_from(&state.name);
+        if change.contains(Change::CORE) {
+            self.link_user(key, state.core);
+            self.core_changed(key, Structural::ANY);
+        } else if change != Change::NAME {
+            self.node_changed(key);
+        }
+        self.record(key, change);
+    }
+
+    fn place_node(&mut self, key: NodeKey, state: &NodeState) {
+        let Some(parent) = state.parent else { return };
+        let node = &self.nodes[key];
+        let old_parent = node.parent;
+        if (old_parent, node.previous_sibling) == (state.parent, state.previous_sibling) {
+            return;
+        }
+        self.unlink_child(key);
+        self.link_child_after(key, parent, state.previous_sibling);
+        if old_parent != Some(parent) {
+            self.hierarchy.node_planted(key);
+            old_parent.into_iter().for_each(|parent| self.children_changed(parent));
+        }
+        self.record(key, Change::PARENT);
+        self.children_changed(parent);
+    }
+}

@@ -1,0 +1,125 @@
+//! Recordings: a session as a file, from the whole scene at its start through what changed in each frame.
+
+use std::fs::File;
+use std::io::{BufReader, BufWriter, Write as _};
+use std::path::{Path, PathBuf};
+
+use super::Delta;
+use super::file::{SceneFileFault, read_frame, read_header, write_frame, write_header};
+use crate::graph::{Cursor, Scene};
+use crate::{Error, Result};
+
+/// Records what happens to a scene, so that a bug report is a file.
+///
+/// ```
+/// use ropewalk::{Core, Recorder, Replay, Scene};
+///
+/// let folder = tempfile::tempdir().expect("a temporary folder");
+/// let path = folder.path().join("session.ropewalk");
+///
+/// let mut scene = Scene::new();
+/// let mut recorder = Recorder::new(&path, &mut scene)?;
+/// for name in ["one", "two"] {
+///     let node = scene.add(scene.root(), Core::Group)?;
+///     scene.set_name(node, name)?;
+///     recorder.record(&mut scene)?;
+/// }
+///
+/// let (mut replay, mut replayed) = (Replay::open(&path)?, Scene::new());
+/// let mut node_counts = Vec::new();
+/// while replay.apply_next(&mut replayed)? {
+///     node_counts.push(replayed.node_count());
+/// }
+/// assert_eq!(node_counts, [1, 2, 3]);
+/// assert_eq!(replayed.snapshot(), scene.snapshot());
+/// # Ok::<(), ropewalk::Error>(())
+/// ```
+#[derive(Debug)]
+pub struct Recorder {
+    path: PathBuf,
+    file: BufWriter<File>,
+    cursor: Cursor,
+}
+
+impl Recorder {
+    /// Begins a recording with the scene as it is. A file of that name is replaced.
+    ///
+    /// # Errors
+    /// [`Error::Io`]: most often the folder does not exist or may not be written to.
+    pub fn new(path: impl AsRef<Path>, scene: &mut Scene) -> Result<Self> {
+        let path = path.as_ref().to_owned();
+        let started = File::create(&path).and_then(|file| {
+            let mut file = BufWriter::new(file);
+            write_header(&mut file).map(|()| file)
+        });
+        let file = started.map_err(|source| Error::Io { path: path.clone(), source })?;
+        let mut recorder = Self { path, file, cursor: Cursor::default() };
+        recorder.record(scene)?;
+        Ok(recorder)
+    }
+
+    /// Appends a frame: what changed since the last one, be it nothing. It has reached the operating system when this
+    /// returns, so that a crash of this program does not lose it. O(changes).
+    ///
+    /// # Errors
+    /// [`Error::Io`]: most often the disk is full. The file is then whole up to the frame before; begin another.
+    pub fn record(&mut self, scene: &mut Scene) -> Result<()> {
+        let delta = scene.delta_since(&mut self.cursor);
+        let written = write_frame(&mut self.file, &delta).and_then(|()| self.file.flush());
+        written.map_err(|source| Error::Io { path: self.path.clone(), source })
+    }
+}
+
+/// Reads a recording, frame by frame, or a saved scene, which is a recording of one.
+#[derive(Debug)]
+pub struct Replay {
+    path: PathBuf,
+    file: BufReader<File>,
+    frame: usize,
+}
+
+impl Replay {
+    /// Opens a recording.
+    ///
+    /// # Errors
+    /// [`Error::Io`] where it cannot be read; [`Error::SceneFile`] where it is not a recording, or one of a later
+    /// version.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref().to_owned();
+        let file = File::open(&path).map_err(|source| Error::Io { path: path.clone(), source })?;
+        let mut file = BufReader::new(file);
+        read_header(&mut file).map_err(|fault| fault.at(&path, 0))?;
+        Ok(Self { path, file, frame: 0 })
+    }
+
+    /// How many frames were read so far.
+    pub fn frame(&self) -> usize {
+        self.frame
+    }
+
+    /// The next frame; `None` at the end.
+    ///
+    /// # Errors
+    /// [`Error::SceneFile`] where the file is damaged, or ends within the frame: the frames before are whole.
+    pub fn next_delta(&mut self) -> Result<Option<Delta>> {
+        let delta = read_frame(&mut self.file).map_err(|fault| fault.at(&self.path, self.frame))?;
+        self.frame += usize::from(delta.is_some());
+        Ok(delta)
+    }
+
+    /// Makes the scene what it was in the next frame; whether there was one. The first frame makes any scene the
+    /// recorded one; the others need it as the one before left it.
+    ///
+    /// # Errors
+    /// As [`next_delta`](Self::next_delta); [`Error::SceneFile`] also for a frame that does not fit the scene, which
+    /// stays as it was.
+    pub fn apply_next(&mut self, scene: &mut Scene) -> Result<bool> {
+        let Some(delta) = self.next_delta()? else { return Ok(false) };
+        scene.apply(&delta).map_err(|error| Error::SceneFile {
+            path: self.path.clone(),
+            frame: self.frame - 1,
+            fault: SceneFileFault::Misfit(Box::new(error)),
+        })?;
+        Ok(true)
+    }
+}

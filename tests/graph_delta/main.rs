@@ -1,0 +1,45 @@
+//! State transfer: mirrors, undo, transactions, threads and files, under random edits and against the naive model.
+#![expect(clippy::unwrap_used, clippy::panic, clippy::expect_used, reason = "a panic in a test is a failure")]
+
+#[path = "../support/canonical.rs"]
+mod canonical;
+#[path = "../graph_model/compare.rs"]
+mod compare;
+#[path = "../graph_model/edit.rs"]
+mod edit;
+#[path = "../graph_model/model.rs"]
+mod model;
+#[path = "../graph_model/random.rs"]
+mod random;
+
+mod deltas;
+mod files;
+mod history;
+mod queue;
+mod recordings;
+mod replica;
+mod session;
+
+use ropewalk::{Object, Scene, State};
+
+/// All that a scene is, apart from which keys it gave out to objects that are gone.
+fn content(scene: &Scene) -> Vec<(Object, Option<State>)> {
+    scene.snapshot().objects().map(|(object, state)| (object, state.cloned())).collect()
+}
+
+/// A scene with every kind of object, some of it shared, some of it gone.
+fn sample() -> Scene {
+    use proptest::strategy::{Strategy as _, ValueTree as _};
+
+    let mut runner = proptest::test_runner::TestRunner::deterministic();
+    let edits = proptest::collection::vec(random::raw_edit(), 400).new_tree(&mut runner).unwrap().current();
+    let mut scene = Scene::new();
+    let mut model = model::Model::new(&scene);
+    let mut issued = random::Issued::new(&scene);
+    for raw in edits.iter().filter(|raw| raw.kind % 32 != 6) {
+        issued.resolve(raw, &model).run(&mut scene, &mut model, &mut issued);
+    }
+    let counts = [scene.node_count(), scene.core_count(), scene.geometry_count(), scene.material_count()];
+    assert!(counts.iter().all(|&count| count > 4) && scene.texture_count() > 1, "{counts:?}");
+    scene
+}

@@ -1,0 +1,88 @@
+//! What queries cost, in nodes visited: never a loop over all triangles.
+
+use glam::DVec3;
+use ropewalk::compile::Compiler;
+use ropewalk::query::Overlap;
+use ropewalk::{Bounds, Camera, Core, Geometry, Material, Queries, Ray, Region, Scene, Transform, View};
+
+use crate::kernel_support::{Mesh, Random};
+
+/// A field of balls, `side` by `side` by `side`, of radius 1 and 4 apart.
+fn field(side: i32, subdivisions: u32) -> Scene {
+    let mut scene = Scene::new();
+    let mesh = Mesh::displaced_icosphere(subdivisions);
+    let geometry = scene.add_geometry(Geometry::new(mesh.positions, mesh.indices)).unwrap();
+    let material = scene.add_material(Material::default()).unwrap();
+    let core = scene.add_core(Core::Geometry { geometry, material }).unwrap();
+    for i in 0..side * side * side {
+        let at = DVec3::new(f64::from(i % side), f64::from(i / side % side), f64::from(i / (side * side)));
+        let place = scene.add(scene.root(), Transform::from_translation(at * 4.0)).unwrap();
+        scene.add(place, core).unwrap();
+    }
+    scene
+}
+
+/// Nodes that 200 queries of one kind visit, on average each.
+fn cost(queries: &Queries<'_>, mut query: impl FnMut(&Queries<'_>, &mut Random)) -> u64 {
+    const COUNT: u64 = 200;
+    let (before, mut random) = (queries.visited_nodes(), Random(1));
+    for _ in 0..COUNT {
+        query(queries, &mut random);
+    }
+    (queries.visited_nodes() - before) / COUNT
+}
+
+/// The average cost of each kind of query.
+fn costs(scene: &mut Scene) -> Vec<(&'static str, u64)> {
+    let mut compiler = Compiler::new();
+    let queries = Queries::new(&mut compiler, scene).unwrap();
+    let bounds = queries.bounds();
+    let point = |random: &mut Random| bounds.center() + random.in_cube().as_dvec3() * (bounds.max - bounds.min) * 0.5;
+    let ray = |random: &mut Random| Ray::new(point(random), random.direction().as_dvec3());
+    let around = |random: &mut Random, half: f64| {
+        let center = point(random);
+        Region::new_box(&Bounds { min: center - half, max: center + half }).unwrap()
+    };
+    let view = View::look_at(bounds.max * 1.5, bounds.center(), DVec3::Y, Camera::default(), 1000, 1000);
+    let mut hits = 0;
+    let costs = vec![
+        ("closest", cost(&queries, |q, r| hits += usize::from(q.closest(&ray(r)).unwrap().is_some()))),
+        ("any", cost(&queries, |q, r| hits += usize::from(q.any(&ray(r)).unwrap()))),
+        ("all", cost(&queries, |q, r| hits += q.all(&ray(r)).unwrap().len())),
+        ("nearest", cost(&queries, |q, r| hits += usize::from(q.nearest(point(r), f64::INFINITY).unwrap().is_some()))),
+        ("containing", cost(&queries, |q, r| hits += q.containing(point(r)).unwrap().len())),
+        ("enclosing", cost(&queries, |q, r| hits += q.enclosing(point(r)).unwrap().len())),
+        ("box, touching", cost(&queries, |q, r| hits += q.overlapping(&around(r, 1.0), Overlap::Touching).len())),
+        ("box, inside", cost(&queries, |q, r| hits += q.overlapping(&around(r, 1.0), Overlap::Inside).len())),
+        (
+            "rubber band",
+            cost(&queries, |q, r| {
+                let [x, y] = [0, 1].map(|_| r.index(950) as u32);
+                let region = view.frustum_of(x..x + 50, y..y + 50).unwrap();
+                hits += q.overlapping(&region, Overlap::Touching).len();
+            }),
+        ),
+    ];
+    assert!(hits > 500, "{hits}");
+    costs
+}
+
+#[test]
+fn queries_visit_few_nodes_of_many_triangles() {
+    let mut scene = field(8, 5);
+    let triangles = scene.instanced_triangle_count();
+    assert_eq!(triangles, 512 * 20_480);
+    for (what, visited) in costs(&mut scene) {
+        println!("{what}: {visited} nodes visited of {triangles} triangles");
+        assert!(visited > 0 && visited < triangles / 10_000, "{what} visits {visited} nodes");
+    }
+}
+
+#[test]
+fn cost_grows_far_slower_than_the_scene() {
+    let [mut small, mut large] = [field(4, 3), field(8, 5)];
+    for ((what, few), (_, many)) in costs(&mut small).into_iter().zip(costs(&mut large)) {
+        // 128 times the triangles.
+        assert!(many < few * 8, "{what}: {few} nodes, then {many}");
+    }
+}

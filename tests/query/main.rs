@@ -1,0 +1,16 @@
+//! Queries against brute force in f64 over all triangles of random scenes, and what they cost.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
+#![allow(unreachable_pub, reason = "support modules serve several tests")]
+
+mod cost;
+mod errors;
+mod inside;
+#[path = "../kernel_support/mod.rs"]
+mod kernel_support;
+mod nearest;
+mod oracle;
+mod pick;
+mod rays;
+mod regions;
+mod scenes;
