@@ -218,7 +218,8 @@ impl Hierarchy {
     /// # Panics
     /// If there is no entry at the index.
     pub fn subtree(&self, entry: usize) -> Vec<Range<usize>> {
-        let mut ranges = vec![entry..self.ends[entry] as usize];
+        let own = entry..self.ends[entry] as usize;
+        let mut ranges = Vec::from([own]);
         let mut next = 0;
         while let Some(range) = ranges.get(next).cloned() {
             ranges.extend(self.grafts_below(range).map(|start| start..self.ends[start] as usize));
