@@ -20,3 +20,12 @@ if cargo nextest --version >/dev/null 2>&1; then
 else
     cargo test --locked --no-fail-fast --lib --bins --tests --examples
 fi
+
+# The viewer is tested in a window. Where there is no X server without a monitor, one is installed first.
+if [ "$(uname -s)" = Linux ]; then
+    export ROPEWALK_REQUIRE_WINDOW=1
+    if ! command -v Xvfb >/dev/null; then
+        bash scripts/install-xvfb.sh
+    fi
+fi
+cargo test --locked --no-fail-fast -p ropewalk-viewer

@@ -66,3 +66,47 @@ fn a_parent_of_1_000_000_children() {
     }
     assert_eq!((scene.node_count(), scene.core_count()), (1, 1));
 }
+
+/// Enough to be computed by several threads: scattered moves, whole branches, what is grafted onto grafts.
+#[test]
+fn scattered_edits_of_30_000_nodes() {
+    let mut state = 1u32;
+    let mut random = |below: usize| {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (state >> 8) as usize % below
+    };
+    let mut scene = Scene::new();
+    let mut nodes = vec![scene.root()];
+    let add = |scene: &mut Scene, nodes: &mut Vec<NodeKey>, parent: usize| {
+        nodes.push(scene.add(nodes[parent], Transform::from_translation(STEP)).unwrap());
+    };
+    for count in 1..30_000 {
+        // Bushes on a few branches.
+        let parent = if random(3) == 0 { random(count) } else { count - 1 - random(count.min(20)) };
+        add(&mut scene, &mut nodes, parent);
+    }
+    scene.hierarchy().unwrap();
+    let generation = scene.hierarchy().unwrap().generation();
+    for round in 1..=12 {
+        let moved = [1, 100, 3000, nodes.len()][round % 4];
+        for i in 0..moved {
+            let node = if moved == nodes.len() { i } else { random(nodes.len()) };
+            let translation = DVec3::new(random(1000) as f64, random(1000) as f64, round as f64);
+            if node > 0 {
+                scene.set_local(nodes[node], Transform::from_translation(translation)).unwrap();
+            }
+        }
+        // Onto what was there, and onto what has just come; some of it in a later update than its parent.
+        for _ in 0..100 {
+            let parent = if random(2) == 0 { nodes.len() - 1 } else { random(nodes.len()) };
+            add(&mut scene, &mut nodes, parent);
+            if random(2) == 0 {
+                scene.hierarchy().unwrap();
+            }
+        }
+        scene.set_local(nodes[nodes.len() - 100 * round.min(3)], Transform::from_translation(STEP)).unwrap();
+        scene.hierarchy().unwrap();
+        scene.validate().unwrap();
+    }
+    assert_eq!(scene.hierarchy().unwrap().generation(), generation, "grafts were to be tested");
+}

@@ -61,9 +61,11 @@ fn a_million_edits_leave_nothing_behind() {
         if i % 1000 == 0 {
             mirror.apply(&world.scene.delta_since(&mut of_mirror)).unwrap();
         }
+        if i % (EDITS / 100) == 0 {
+            compared += check(&mut world, &mut compiler, &mut mirror, &mut of_mirror);
+        }
         if i % (EDITS / 10) == 0 {
             let _ = world.scene.changes_since(&mut lagging);
-            compared += check(&mut world, &mut compiler, &mut mirror, &mut of_mirror);
             peaks.push(HEAP.current_usage() - start);
         }
     }

@@ -7,6 +7,7 @@ mod arguments;
 mod builtin;
 mod progress;
 mod report;
+mod stage;
 mod subject;
 
 use std::io::Write as _;

@@ -2,12 +2,13 @@
 
 use std::path::Path;
 
-use glam::{DAffine3, DMat3, DQuat, DVec3, Vec3};
+use glam::{DAffine3, DMat3, DQuat, DVec3};
 use ropewalk::gltf::{self, ImportOptions, ImportReport, SceneChoice};
-use ropewalk::{Core, Light, NodeKey, Scene, Sky, Transform, View};
+use ropewalk::{NodeKey, Scene, Sky, View};
 
 use crate::arguments::Arguments;
 use crate::builtin;
+use crate::stage::{camera_name, cameras, light_if_dark};
 
 /// A scene and how it is seen.
 pub(crate) struct Subject {
@@ -66,7 +67,7 @@ fn import(file: &Path, arguments: &Arguments, scene: &mut Scene) -> Result<Impor
 /// Through the camera asked for, else the first, else from where everything is seen.
 fn first_view(scene: &mut Scene, arguments: &Arguments) -> Result<View, String> {
     let (width, height) = arguments.traced_size();
-    let cameras = cores_of_kind(scene, |core| matches!(core, Core::Camera(_)));
+    let cameras = cameras(scene);
     let chosen = match &arguments.camera {
         None => cameras.first().copied(),
         Some(wanted) => Some(choose_camera(scene, &cameras, wanted)?),
@@ -88,29 +89,4 @@ fn choose_camera(scene: &Scene, cameras: &[NodeKey], wanted: &str) -> Result<Nod
             _ => format!("there is no camera {wanted:?}; there are: {}", known.join(", ")),
         }
     })
-}
-
-/// The name of the camera, or of the node that places it.
-fn camera_name(scene: &Scene, camera: NodeKey) -> &str {
-    let name = scene.name(camera).unwrap_or_default();
-    let parent = scene.parent(camera).ok().flatten();
-    if name.is_empty() { parent.and_then(|parent| scene.name(parent).ok()).unwrap_or_default() } else { name }
-}
-
-/// Where there is no light, adds one from above the left shoulder of the viewer.
-fn light_if_dark(scene: &mut Scene, view: &View) -> ropewalk::Result<()> {
-    if !cores_of_kind(scene, |core| matches!(core, Core::Light(_))).is_empty() {
-        return Ok(());
-    }
-    let from = view.world_from_view.transform_vector3(DVec3::new(-0.5, 0.9, 0.7));
-    let pose = Transform::looking_at(from, DVec3::ZERO, DVec3::Y);
-    let key_light = scene.add(scene.root(), pose)?;
-    scene.set_name(key_light, "key light")?;
-    scene.add(key_light, Light::directional(Vec3::ONE, 2.6))?;
-    Ok(())
-}
-
-fn cores_of_kind(scene: &Scene, is_kind: impl Fn(&Core) -> bool) -> Vec<NodeKey> {
-    let nodes = scene.descendants(scene.root()).into_iter().flatten();
-    nodes.filter(|&node| scene.core(node).is_ok_and(&is_kind)).collect()
 }

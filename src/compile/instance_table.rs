@@ -217,10 +217,10 @@ impl InstanceTable {
 
     fn free(&mut self, slot: u32, arrays: &mut DeviceArrays) {
         self.release_users(slot);
-        if let Some(member) = self.slots[slot as usize].member.take() {
-            if let Some(at) = self.slot_at.get_mut(member.entry as usize).filter(|at| **at == slot) {
-                *at = NONE;
-            }
+        if let Some(member) = self.slots[slot as usize].member.take()
+            && let Some(at) = self.slot_at.get_mut(member.entry as usize).filter(|at| **at == slot)
+        {
+            *at = NONE;
         }
         self.put(slot, bytemuck::Zeroable::zeroed(), Aabb::EMPTY, 0, arrays);
         self.free_slots.push(slot);

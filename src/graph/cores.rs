@@ -153,6 +153,7 @@ impl Scene {
     /// Moves all users of a transform core. What [`edit_core`](Self::edit_core) does, without what it does for other cores.
     fn edit_transform(&mut self, key: CoreKey, transform: Transform) -> Result<()> {
         let local = check_transform(&transform)?;
+        self.touch(key);
         let slot = &mut self.cores[key];
         slot.core = Core::Transform(transform);
         let mut next = slot.first_user;

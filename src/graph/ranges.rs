@@ -13,10 +13,14 @@ use crate::{Error, Result};
 /// Checks the numbers in a core, not the keys.
 pub(super) fn check_core(core: &Core) -> Result<()> {
     match core {
-        Core::Group | Core::Switch(_) | Core::MaterialGroup(_) | Core::Instance(_) | Core::Geometry { .. } => Ok(()),
+        Core::Group
+        | Core::Switch(_)
+        | Core::Billboard(Billboard::Free)
+        | Core::MaterialGroup(_)
+        | Core::Instance(_)
+        | Core::Geometry { .. } => Ok(()),
         Core::Transform(transform) => check_transform(transform).map(drop),
         Core::Lod(lod) => check_lod(lod),
-        Core::Billboard(Billboard::Free) => Ok(()),
         Core::Billboard(Billboard::Axis(axis)) => {
             let length = axis.length();
             require(length > 0.0 && length.is_finite(), "billboard axis", axis, "finite and not 0")

@@ -16,7 +16,7 @@ pub enum Transform {
         scale: DVec3,
     },
     /// Scale and rotate about a pivot, then translate: OpenSG's `ComponentTransform`. A point p goes to
-    /// translation + pivot + rotation * scale_rotation * scale * scale_rotation^-1 * (p - pivot).
+    /// `translation + pivot + rotation * scale_rotation * scale * scale_rotation^-1 * (p - pivot)`.
     Pivoted {
         /// Translation, in the parent's space.
         translation: DVec3,

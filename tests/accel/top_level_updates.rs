@@ -253,6 +253,22 @@ fn one_moved_instance_changes_its_leaf_and_few_others() {
     assert_eq!(catch_up(&mut copy, &mut built), 0);
 }
 
+/// Wherever the last node's instance is, in one of the rounds it goes with half of the others.
+#[test]
+fn half_of_the_instances_go_and_come_back() {
+    for remainder in 0..2 {
+        let mut boxes = field(300);
+        let all = boxes.clone();
+        let mut built = build(&boxes);
+        let slots: Vec<u32> = (0..300).filter(|slot| slot % 2 == remainder).collect();
+        slots.iter().for_each(|&slot| boxes[slot as usize] = Aabb::EMPTY);
+        assert_eq!(built.update(&boxes, &slots), Update::Refitted { instances: slots.len() });
+        check(&built, &boxes);
+        assert_eq!(built.update(&all, &slots), Update::Refitted { instances: slots.len() });
+        check(&built, &all);
+    }
+}
+
 #[test]
 fn many_moved_instances_refit() {
     let mut boxes = field(50_000);

@@ -8,8 +8,8 @@ use proptest::prelude::*;
 use proptest::sample::Index;
 use proptest::test_runner::TestRunner;
 use ropewalk::{
-    Camera, Core, CoreKey, Cursor, Delta, Error, Geometry, Keep, Material, NodeKey, NodeState, Object, Scene, State,
-    Transform,
+    Camera, Change, Changes, Core, CoreKey, Cursor, Delta, Error, Geometry, Keep, Material, NodeKey, NodeState, Object,
+    Scene, State, Switch, Transform,
 };
 
 use crate::{content, sample};
@@ -123,8 +123,36 @@ fn forged_keys_allocate_nothing() {
     }
     assert!(matches!(small.refuses(&[(forged(0, 1).into(), state.clone())]), Error::Delta { .. }));
     assert!(matches!(small.refuses(&[(forged(u64::from(u32::MAX), 1).into(), state.clone())]), Error::Delta { .. }));
+    // Two generations in one slot, one of which may live there.
+    let two = [1, 3].map(|generation| {
+        let key: CoreKey = slotmap::KeyData::from_ffi(generation << 32 | 9).into();
+        (key.into(), Some(State::Core(Core::Group)))
+    });
+    assert!(matches!(small.refuses(&two), Error::Delta { .. }));
     // Another generation lives there.
     assert!(matches!(small.refuses(&[(forged(1, 3).into(), state)]), Error::Delta { .. }));
+}
+
+/// Which children a switch shows depends on their places: a mirror that loses the first shows the second.
+#[test]
+fn children_change_places() {
+    let (mut scene, mut mirror, mut cursor) = (Scene::new(), Scene::new(), Cursor::default());
+    let switch = scene.add(scene.root(), Switch::One(0)).unwrap();
+    let [first, second] = [0, 1].map(|_| scene.add(switch, Core::Group).unwrap());
+    mirror.apply(&scene.delta_since(&mut cursor)).unwrap();
+    let is_shown = |scene: &mut Scene, node: NodeKey| {
+        let hierarchy = scene.hierarchy().unwrap();
+        hierarchy.placed()[hierarchy.entry(node).unwrap()].visible
+    };
+    assert!(is_shown(&mut mirror, first) && !is_shown(&mut mirror, second));
+    let mut of_mirror = Cursor::default();
+    let _ = mirror.changes_since(&mut of_mirror);
+
+    scene.remove(first).unwrap();
+    mirror.apply(&scene.delta_since(&mut cursor)).unwrap();
+    assert!(is_shown(&mut mirror, second));
+    let Changes::Since(changes) = mirror.changes_since(&mut of_mirror) else { panic!("it has read before") };
+    assert!(changes.contains(&(switch.into(), Change::CHILDREN)));
 }
 
 /// A chain of 100,000 nodes is turned upside down by one delta, and back.

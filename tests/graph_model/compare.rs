@@ -140,7 +140,7 @@ pub(crate) fn hierarchy(scene: &mut Scene, model: &Model) {
         model.chains(model.chain(model.root)).into_iter().map(|chain| (Model::path(&chain), chain)).collect();
     for (entry, &node) in hierarchy.nodes().iter().enumerate().filter(|&(entry, _)| !hierarchy.is_gap(entry)) {
         let path = hierarchy.path(entry);
-        let chain = chains.remove(&path).expect("the model has this path, once");
+        let chain = chains.remove(&path).unwrap_or_else(|| panic!("the model does not have {path:?}, or once only"));
         assert!(hierarchy.entries(node).any(|e| e == entry));
         assert_eq!(hierarchy.is_instanced(entry), chain.last().unwrap().instanced);
         let parent = hierarchy.parents()[entry];

@@ -48,6 +48,10 @@ impl Ropewalk {
         }
         Ok(Self { scene, nodes })
     }
+
+    pub fn scene(&mut self) -> &mut Scene {
+        &mut self.scene
+    }
 }
 
 /// The transform of a pose.

@@ -13,7 +13,7 @@ use crate::propagation::transform;
 use crate::shape::{HUMANOID, Pose, Shape, choose};
 
 /// Where it is seen from.
-const EYE: DVec3 = DVec3::new(0.0, 0.0, 100.0);
+pub const EYE: DVec3 = DVec3::new(0.0, 0.0, 100.0);
 
 /// What is done to a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -123,8 +123,8 @@ impl Compiled {
         })
     }
 
-    pub fn node_count(&self) -> usize {
-        self.scene.node_count()
+    pub fn scene(&mut self) -> &mut Scene {
+        &mut self.scene
     }
 
     fn edit(&mut self, edit: Edit, chosen: &[usize], poses: &[Pose]) -> ropewalk::Result<()> {
@@ -159,12 +159,14 @@ impl Compiled {
             }
             Edit::Swap => {
                 for &joint in chosen {
-                    let geometry = self.geometries[self.round % 2];
+                    let [one, other] = self.geometries;
+                    let shown = scene.core(self.boxes[joint])?.geometry();
+                    let geometry = if shown == Some(one) { other } else { one };
                     scene.set_core(self.boxes[joint], Core::Geometry { geometry, material })?;
                 }
             }
             Edit::Toggle => {
-                let shown = if self.round % 2 == 0 { Switch::All } else { Switch::None };
+                let shown = if self.round.is_multiple_of(2) { Switch::All } else { Switch::None };
                 scene.set_core(self.switch, shown)?;
             }
         }

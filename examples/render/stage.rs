@@ -1,0 +1,34 @@
+//! What a scene needs to be looked at: cameras to choose from, and light.
+
+use glam::{DVec3, Vec3};
+use ropewalk::{Core, Light, NodeKey, Scene, Transform, View};
+
+/// The nodes with a camera, in preorder.
+pub(crate) fn cameras(scene: &Scene) -> Vec<NodeKey> {
+    cores_of_kind(scene, |core| matches!(core, Core::Camera(_)))
+}
+
+/// The name of the camera, or of the node that places it.
+pub(crate) fn camera_name(scene: &Scene, camera: NodeKey) -> &str {
+    let name = scene.name(camera).unwrap_or_default();
+    let parent = scene.parent(camera).ok().flatten();
+    if name.is_empty() { parent.and_then(|parent| scene.name(parent).ok()).unwrap_or_default() } else { name }
+}
+
+/// Where there is no light, adds one from above the left shoulder of the viewer.
+pub(crate) fn light_if_dark(scene: &mut Scene, view: &View) -> ropewalk::Result<()> {
+    if !cores_of_kind(scene, |core| matches!(core, Core::Light(_))).is_empty() {
+        return Ok(());
+    }
+    let from = view.world_from_view.transform_vector3(DVec3::new(-0.5, 0.9, 0.7));
+    let pose = Transform::looking_at(from, DVec3::ZERO, DVec3::Y);
+    let key_light = scene.add(scene.root(), pose)?;
+    scene.set_name(key_light, "key light")?;
+    scene.add(key_light, Light::directional(Vec3::ONE, 2.6))?;
+    Ok(())
+}
+
+fn cores_of_kind(scene: &Scene, is_kind: impl Fn(&Core) -> bool) -> Vec<NodeKey> {
+    let nodes = scene.descendants(scene.root()).into_iter().flatten();
+    nodes.filter(|&node| scene.core(node).is_ok_and(&is_kind)).collect()
+}

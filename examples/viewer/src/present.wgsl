@@ -1,0 +1,80 @@
+// Shows a traced frame: filtered to the window's pixels, tone mapped and sRGB encoded as `ropewalk::image` does it.
+
+struct Viewport {
+    // In pixels of the window.
+    origin: vec2f,
+    size: vec2f,
+}
+
+@group(0) @binding(0) var frame: texture_2d<f32>;
+@group(0) @binding(1) var<uniform> viewport: Viewport;
+
+@vertex
+fn vertex(@builtin(vertex_index) index: u32) -> @builtin(position) vec4f {
+    // One triangle over everything.
+    return vec4f(select(-1.0, 3.0, index == 1u), select(-1.0, 3.0, index == 2u), 0.0, 1.0);
+}
+
+@fragment
+fn fragment(@builtin(position) position: vec4f) -> @location(0) vec4f {
+    let pixel = floor(position.xy - viewport.origin);
+    let texels = vec2f(textureDimensions(frame));
+    let scale = texels / viewport.size;
+    var linear: vec3f;
+    if all(scale >= vec2f(1.0)) {
+        linear = mean(vec2i(pixel), vec2i(scale + 0.5));
+    } else {
+        linear = smoothed((pixel + 0.5) * scale - 0.5, vec2i(texels) - 1);
+    }
+    return vec4f(srgb(neutral(linear)), 1.0);
+}
+
+// The mean of the rays of a pixel.
+fn mean(pixel: vec2i, rays: vec2i) -> vec3f {
+    var sum = vec3f(0.0);
+    for (var y = 0; y < rays.y; y++) {
+        for (var x = 0; x < rays.x; x++) {
+            sum += textureLoad(frame, pixel * rays + vec2i(x, y), 0).rgb;
+        }
+    }
+    return sum / f32(rays.x * rays.y);
+}
+
+// Between the four nearest rays. They are tone mapped when mixed: else bright ones would spread.
+fn smoothed(at: vec2f, last: vec2i) -> vec3f {
+    let low = floor(at);
+    let t = at - low;
+    let a = clamp(vec2i(low), vec2i(0), last);
+    let b = clamp(vec2i(low) + 1, vec2i(0), last);
+    let above = mix(load(a.x, a.y), load(b.x, a.y), t.x);
+    let below = mix(load(a.x, b.y), load(b.x, b.y), t.x);
+    return mix(above, below, t.y);
+}
+
+fn load(x: i32, y: i32) -> vec3f {
+    return min(textureLoad(frame, vec2i(x, y), 0).rgb, vec3f(4.0));
+}
+
+// The Khronos PBR Neutral tone mapper; `neutral` of src/image/tonemap.rs.
+fn neutral(radiance: vec3f) -> vec3f {
+    let start = 0.8 - 0.04;
+    let desaturation = 0.15;
+    let linear = clamp(radiance, vec3f(0.0), vec3f(1e30));
+    let darkest = min(linear.r, min(linear.g, linear.b));
+    let offset = select(0.04, darkest - 6.25 * darkest * darkest, darkest < 0.08);
+    let color = linear - offset;
+    let peak = max(color.r, max(color.g, color.b));
+    if peak < start {
+        return color;
+    }
+    let headroom = 1.0 - start;
+    let new_peak = 1.0 - headroom * headroom / (peak + headroom - start);
+    let white = 1.0 - 1.0 / (desaturation * (peak - new_peak) + 1.0);
+    return mix(color / peak * new_peak, vec3f(new_peak), white);
+}
+
+// `srgb_from_linear` of src/image/tonemap.rs.
+fn srgb(linear: vec3f) -> vec3f {
+    let curved = 1.055 * pow(max(linear, vec3f(0.0)), vec3f(1.0 / 2.4)) - 0.055;
+    return select(curved, 12.92 * linear, linear <= vec3f(0.0031308));
+}
