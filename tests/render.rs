@@ -111,6 +111,9 @@ fn a_scene_far_from_the_origin_looks_the_same() {
     scene.set_local(world, Transform::from_translation(offset)).unwrap();
     let far = renderer.render(&mut scene, &view(offset)).unwrap().image().unwrap();
 
+    let errors = ropewalk::image::flip(near.width, &near.to_rgba8(), &far.to_rgba8(), 67.0).unwrap();
+    let flip = errors.iter().sum::<f32>() / errors.len() as f32;
+    assert!(flip < 0.01, "FLIP {flip}");
     let (near, far) = (near.aovs.unwrap(), far.aovs.unwrap());
     let pixels = near.triangle.len();
     assert!(near.triangle.iter().filter(|&&t| t != u32::MAX).count() > pixels / 4, "nothing to compare");

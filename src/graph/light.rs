@@ -28,8 +28,9 @@ impl Light {
     }
 }
 
-/// The shape of a light.
+/// The shape of a light. More are to come: areas, environments.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub enum LightKind {
     /// Shines equally in all directions.
     Point,

@@ -66,6 +66,8 @@ impl Scene {
                 self.node(target)?;
                 let known = self.instancers.get(&target).is_some_and(|cores| cores.contains(&key));
                 check(known, key, "nobody knows what it instances")?;
+                let shows_itself = self.users(key)?.any(|user| self.is_at_or_above(target, user));
+                check(!shows_itself, key, "it shows itself")?;
             }
         }
         check(user_count == self.nodes.len(), self.root, "some nodes are not users of their cores")

@@ -93,6 +93,11 @@ fn each_misfit_is_named() {
     assert!(matches!(small.refuses(&[missing]), Error::StaleKey { .. }));
     let cycle = small.with(arm, |state| node(state).parent = Some(key(hand)));
     assert!(matches!(small.refuses(&[cycle]), Error::Cycle { .. }));
+    // Whatever instances the root stands below it.
+    for target in [root, key(arm), key(hand)] {
+        let itself = small.with(core, |state| *state = State::Core(Core::Instance(target)));
+        assert!(matches!(small.refuses(&[itself]), Error::Cycle { .. }));
+    }
     assert!(matches!(small.refuses(&[(root.into(), None)]), Error::Root { .. }));
     let light = small.with(root_core, |state| *state = State::Core(Core::Camera(Camera::default())));
     assert!(matches!(small.refuses(&[light]), Error::Root { .. }));

@@ -241,7 +241,7 @@ impl After<'_> {
         }
         let starts = self.ends_of_new_links();
         let shown_by = if starts.is_empty() { HashMap::new() } else { self.nodes_that_instance() };
-        let (mut done, mut path) = (HashSet::from([self.scene.root]), HashSet::new());
+        let (mut done, mut path) = (HashSet::new(), HashSet::new());
         for start in starts {
             let mut open = vec![Visit::Enter(start)];
             while let Some(visit) = open.pop() {
