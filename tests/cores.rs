@@ -216,6 +216,49 @@ fn instances_that_multiply_are_refused_before_they_take_memory() {
     scene.validate().unwrap();
 }
 
+/// An instance of an instance: the outer one is looked at after it has gone with the inner one.
+#[test]
+fn instances_change_and_move_in_one_go() {
+    let mut scene = Scene::new();
+    let root = scene.root();
+    let [one, other] = [0; 2].map(|_| scene.add(root, Core::Group).unwrap());
+    let inner = scene.add(root, Core::Instance(one)).unwrap();
+    scene.add(root, Core::Instance(inner)).unwrap();
+    scene.hierarchy().unwrap();
+    scene.set_core(inner, Core::Instance(other)).unwrap();
+    scene.reparent(inner, one, Keep::Local).unwrap();
+    scene.hierarchy().unwrap();
+    scene.validate().unwrap();
+    let shown = scene.hierarchy().unwrap().entries(other).count();
+    // Where it stands, below the inner one, and below the outer one's inner one.
+    assert_eq!(shown, 3);
+}
+
+/// A forest: ten thousand instances of a tree with levels of detail, edited and removed, in no more than linear time.
+#[test]
+fn a_forest_is_planted_edited_and_felled() {
+    let mut scene = Scene::new();
+    let root = scene.root();
+    let hidden = scene.add(root, Core::Group).unwrap();
+    scene.set_visible(hidden, false).unwrap();
+    let tree = scene.add(hidden, Lod::by_distance([1e9])).unwrap();
+    squares(&mut scene, tree, 2);
+    let count = 10_000;
+    for i in 0..count {
+        let place = scene.add(root, at(f64::from(i), 0.0, 0.0)).unwrap();
+        scene.add(place, Core::Instance(tree)).unwrap();
+    }
+    let mut compiler = Compiler::new();
+    assert_eq!(compiler.compile(&mut scene, DVec3::Z).unwrap().instances, count as usize);
+    let twig = squares(&mut scene, tree, 1)[0];
+    assert_eq!(compiler.compile(&mut scene, DVec3::Z).unwrap().instances, count as usize);
+    scene.remove(twig).unwrap();
+    assert_eq!(compiler.compile(&mut scene, DVec3::Z).unwrap().instances, count as usize);
+    scene.remove(tree).unwrap();
+    assert_eq!(compiler.compile(&mut scene, DVec3::Z).unwrap().instances, 0);
+    scene.validate().unwrap();
+}
+
 #[test]
 fn levels_of_detail_suit_the_distance_of_each_camera() {
     let mut scene = Scene::new();

@@ -19,6 +19,8 @@ use crate::graph::{Geometry, GeometryKey, Scene};
 #[derive(Debug)]
 pub(super) struct GeometryCache {
     entries: SecondaryMap<GeometryKey, Entry>,
+    /// Of all entries.
+    triangle_count: usize,
     nodes: Arena,
     triangles: Arena,
     streams: Arena,
@@ -76,6 +78,7 @@ impl GeometryCache {
     pub(super) fn new() -> Self {
         Self {
             entries: SecondaryMap::new(),
+            triangle_count: 0,
             nodes: Arena::new("the bottom-level nodes array"),
             triangles: Arena::new("the triangles array"),
             streams: Arena::new("the geometries array"),
@@ -115,6 +118,7 @@ impl GeometryCache {
             update.built.push(key);
             update.built_triangles += geometry.indices.len();
             let entry = self.store(version, geometry, built, arrays)?;
+            self.triangle_count += entry.triangle_count;
             self.entries.insert(key, entry);
         }
         Ok(update)
@@ -127,7 +131,7 @@ impl GeometryCache {
 
     /// Triangles of all geometries, each counted once.
     pub(super) fn triangle_count(&self) -> usize {
-        self.entries.values().map(|entry| entry.triangle_count).sum()
+        self.triangle_count
     }
 
     /// How many there are.
@@ -178,6 +182,7 @@ impl GeometryCache {
 
     fn free(&mut self, key: GeometryKey, arrays: &mut DeviceArrays) {
         let Some(entry) = self.entries.remove(key) else { return };
+        self.triangle_count -= entry.triangle_count;
         self.nodes.release(&mut arrays.blas_nodes, entry.nodes);
         self.triangles.release(&mut arrays.triangles, entry.triangles);
         self.streams.release(&mut arrays.geometries, entry.streams);

@@ -149,10 +149,9 @@ impl ViewDependent {
             return Ok(());
         }
         self.hidden.resize(hierarchy.nodes().len(), false);
-        for (number, child) in scene.children(node)?.enumerate() {
-            for below in hierarchy.entries(child).filter(|&below| hierarchy.parents()[below] == entry) {
-                self.hidden[below] = number as u32 != chosen && !hierarchy.is_instanced(below);
-            }
+        let shown = scene.children(node)?.nth(chosen as usize);
+        for below in hierarchy.children(entry as usize) {
+            self.hidden[below] = Some(hierarchy.nodes()[below]) != shown;
         }
         self.cull(hierarchy, entry, choice);
         Ok(())
@@ -161,11 +160,9 @@ impl ViewDependent {
     /// An entry that has no levels of detail any more hides nothing.
     fn unset_lod(&mut self, hierarchy: &Hierarchy, entry: u32) {
         if self.lods.remove(&entry).is_some() {
-            for range in hierarchy.subtree(entry as usize) {
-                for below in range.filter(|&below| hierarchy.parents()[below] == entry) {
-                    if let Some(hidden) = self.hidden.get_mut(below) {
-                        *hidden = false;
-                    }
+            for below in hierarchy.children(entry as usize) {
+                if let Some(hidden) = self.hidden.get_mut(below) {
+                    *hidden = false;
                 }
             }
         }

@@ -40,7 +40,7 @@ impl Scene {
     /// Notes what the core instances.
     pub(super) fn link_target(&mut self, key: CoreKey, core: &Core) {
         if let Core::Instance(target) = *core {
-            self.instancers.entry(target).or_default().push(key);
+            self.instancers.entry(target).or_default().insert(key);
         }
     }
 
@@ -48,7 +48,7 @@ impl Scene {
     pub(super) fn unlink_target(&mut self, key: CoreKey, core: &Core) {
         let Core::Instance(target) = *core else { return };
         if let Some(cores) = self.instancers.get_mut(&target) {
-            cores.retain(|&core| core != key);
+            cores.remove(&key);
             if cores.is_empty() {
                 self.instancers.remove(&target);
             }

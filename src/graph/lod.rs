@@ -10,7 +10,8 @@ use serde::{Deserialize, Serialize};
 /// beyond the last the child after it.
 ///
 /// With `hysteresis` h a level once chosen stays until the measure is past the limit by the factor 1 + h on the far side
-/// or 1 - h on the near side, so that a camera that trembles at a limit does not flicker.
+/// or 1 - h on the near side, so that a camera that trembles at a limit does not flicker. (What was chosen is forgotten when the
+/// flattened [hierarchy](crate::Hierarchy) is compacted.)
 ///
 /// OpenSG's `DistanceLOD` and `ScreenLOD`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

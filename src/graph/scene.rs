@@ -1,6 +1,6 @@
 //! The scene: owner of all nodes, cores, geometries, materials and textures.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::assets::{StoredGeometry, Used};
@@ -71,7 +71,7 @@ pub struct Scene {
     /// Whether what has lost its last user stays.
     pub(super) keeps_unused: bool,
     /// The cores that instance each node.
-    pub(super) instancers: HashMap<NodeKey, Vec<CoreKey>>,
+    pub(super) instancers: HashMap<NodeKey, BTreeSet<CoreKey>>,
     revision: u64,
 }
 
@@ -238,8 +238,10 @@ impl Scene {
         let object = object.into();
         self.revision += 1;
         self.log.record(object, change);
-        if change == Change::ADDED {
-            self.touch_new(object);
+        match change {
+            Change::ADDED => self.touch_new(object),
+            Change::REMOVED => self.forget_passing(object),
+            _ => {}
         }
     }
 

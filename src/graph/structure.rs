@@ -69,7 +69,8 @@ impl Scene {
     }
 
     /// Makes `node` the last child of `parent`, with everything below it. Its current parent changes nothing, its
-    /// place among its siblings included. O(depth), to find cycles.
+    /// place among its siblings included. O(depth), to find cycles; O(all that shows it) where something
+    /// is instanced.
     ///
     /// With [`Keep::World`] the node gets the local transform that leaves its world transform as it is, up to
     /// rounding, as a matrix. Where others share its transform core, it gets one of its own first, and the others stay

@@ -4,7 +4,7 @@
 //!
 //! - A few boxes changed: their leaves are patched, and of their ancestors those whose box changes (`bottom_up`).
 //! - Many changed: one pass over all nodes, children before parents (`bottom_up`).
-//! - The hierarchy has become bad, or has no room: a new one (`morton`, `ploc`, `flatten`).
+//! - The hierarchy has become bad, or has no room: a new one (`morton`, `cluster`, `flatten`).
 //!
 //! Instances come and go without a rebuild: a leaf that loses its instance stays as an [unused](Node::unused) one, and takes
 //! the next that comes (`leaves`). In a scene where that has happened, a rebuild leaves some room.

@@ -41,10 +41,10 @@ pub struct Hierarchy {
     ends: Vec<u32>,
     own: Vec<Own>,
     placed: Vec<Placed>,
-    /// One entry of each node.
+    /// One entry of each node: where it stands itself, if it does.
     first_entries: SecondaryMap<NodeKey, u32>,
     /// The others, of nodes that are instanced.
-    more_entries: HashMap<NodeKey, Vec<u32>>,
+    more_entries: HashMap<NodeKey, BTreeSet<u32>>,
     /// The starts of the grafts below each entry that has some; dead ones start with a gap.
     grafts: BTreeMap<u32, Vec<u32>>,
     /// Entries in grafts.
@@ -165,9 +165,10 @@ impl Hierarchy {
         &self.gaps
     }
 
-    /// Where the node itself stands, not through an instance; `None` if it is not in the scene. O(its entries).
+    /// Where the node itself stands, not through an instance; `None` if it is not in the scene. O(1).
     pub fn entry(&self, node: NodeKey) -> Option<usize> {
-        self.entries(node).find(|&entry| !self.own[entry].copy)
+        let entry = *self.first_entries.get(node)? as usize;
+        (!self.own[entry].copy).then_some(entry)
     }
 
     /// All entries of a node, in no particular order; none if it is not in the scene.
@@ -211,6 +212,17 @@ impl Hierarchy {
         }
         instances.reverse();
         NodePath { instances, node: self.nodes[entry] }
+    }
+
+    /// The entries whose parent is this one, in no particular order. O(them and the gaps between them).
+    ///
+    /// # Panics
+    /// If there is no entry at the index.
+    pub fn children(&self, entry: usize) -> impl Iterator<Item = usize> {
+        let end = self.ends[entry] as usize;
+        let within = std::iter::successors(Some(entry + 1), |&child| self.ends.get(child).map(|&end| end as usize));
+        let within = within.take_while(move |&child| child < end).filter(|&child| !self.is_gap(child));
+        within.chain(self.grafts_below(entry..entry + 1))
     }
 
     /// The ranges of an entry and all below it, the entry's own first. Gaps may be among them.

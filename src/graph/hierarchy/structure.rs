@@ -1,6 +1,6 @@
 //! Which entries there are: planting subtrees, and leaving gaps where some were removed.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap, HashSet};
 use std::ops::Range;
 
 use slotmap::Key;
@@ -131,12 +131,11 @@ impl Hierarchy {
         for node in unplanted {
             let Some(slot) = tree.nodes.get(node) else { continue };
             let Some(parent) = slot.parent else { continue };
-            let parents: Vec<usize> = self.entries(parent).collect();
+            let standing = self.entries(node).filter(|&entry| !self.own[entry].instanced);
+            let has_it: HashSet<usize> = standing.map(|entry| self.parents[entry] as usize).collect();
+            let parents: Vec<usize> = self.entries(parent).filter(|parent| !has_it.contains(parent)).collect();
             for parent in parents {
-                let stands_here = |entry: usize| self.parents[entry] as usize == parent && !self.own[entry].instanced;
-                if !self.entries(node).any(stands_here) {
-                    self.graft(tree, node, parent, false)?;
-                }
+                self.graft(tree, node, parent, false)?;
             }
         }
 
@@ -148,6 +147,10 @@ impl Hierarchy {
             let target = tree.target(node);
             let entries: Vec<usize> = self.entries(node).collect();
             for entry in entries {
+                // One may stand below another, and have gone with it.
+                if self.is_gap(entry) {
+                    continue;
+                }
                 let instanced = self.instanced_below(entry);
                 if instanced.map(|entry| self.nodes[entry]) == target {
                     continue;
@@ -248,9 +251,16 @@ impl Hierarchy {
         self.ends.push(entry + 1);
         self.own.push(own);
         self.placed.push(Placed::NOWHERE);
-        match self.first_entries.get(key) {
-            None => drop(self.first_entries.insert(key, entry)),
-            Some(_) => self.more_entries.entry(key).or_default().push(entry),
+        // Where a node itself stands comes first.
+        let other = match self.first_entries.get(key).copied() {
+            Some(_) if copy => Some(entry),
+            first => {
+                self.first_entries.insert(key, entry);
+                first
+            }
+        };
+        if let Some(other) = other {
+            self.more_entries.entry(key).or_default().insert(other);
         }
         entry
     }
@@ -283,14 +293,14 @@ impl Hierarchy {
     fn forget(&mut self, node: NodeKey, entry: u32) {
         let more = self.more_entries.get_mut(&node);
         if self.first_entries.get(node) == Some(&entry) {
-            match more.and_then(Vec::pop) {
+            match more.and_then(BTreeSet::pop_last) {
                 Some(other) => drop(self.first_entries.insert(node, other)),
                 None => drop(self.first_entries.remove(node)),
             }
         } else if let Some(more) = more {
-            more.retain(|&other| other != entry);
+            more.remove(&entry);
         }
-        if self.more_entries.get(&node).is_some_and(Vec::is_empty) {
+        if self.more_entries.get(&node).is_some_and(BTreeSet::is_empty) {
             self.more_entries.remove(&node);
         }
     }
@@ -325,14 +335,16 @@ impl Tree<'_> {
             _ => None,
         }
     }
-}
 
-impl Tree<'_> {
     /// How many entries a node and all below it have. O(nodes that are shown there, each counted twice at most).
     fn entry_count(self, top: NodeKey) -> u64 {
         let mut counts: HashMap<NodeKey, u64> = HashMap::new();
         let mut open = vec![top];
         while let Some(&node) = open.last() {
+            if counts.contains_key(&node) {
+                open.pop();
+                continue;
+            }
             let (mut count, before) = (0u64, open.len());
             let mut next = Some(node);
             while let Some(below) = next {

@@ -1,6 +1,6 @@
 //! Whether a delta fits a scene: everything is found out before anything is touched.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeSet, HashMap, HashSet};
 
 use super::delta::Delta;
 use super::{NodeState, State};
@@ -9,7 +9,7 @@ use crate::graph::scene::stale;
 use crate::graph::{Core, CoreKey, NodeKey, Object, Scene};
 use crate::{Error, Result};
 
-/// How far beyond the slots in use the keys of a delta may lie, where it is not whole. Between two reads of the log an
+/// How many more slots than objects the keys of deltas that are not whole may make a scene have, all of them together. Between two reads of the log an
 /// honest scene may create and free many objects; a forged key must not make this scene allocate without bound.
 const MOST_SLOTS_SKIPPED: usize = 1 << 20;
 
@@ -141,8 +141,15 @@ impl After<'_> {
             Object::Material(_) => generations.materials.len(),
             Object::Texture(_) => generations.textures.len(),
         });
+        let live = match object {
+            Object::Node(_) => self.scene.node_count(),
+            Object::Core(_) => self.scene.core_count(),
+            Object::Geometry(_) => self.scene.geometry_count(),
+            Object::Material(_) => self.scene.material_count(),
+            Object::Texture(_) => self.scene.texture_count(),
+        };
         let skippable = if self.delta.is_whole() { 0 } else { MOST_SLOTS_SKIPPED };
-        let limit = slot_count.max(given_out) + skippable;
+        let limit = slot_count.max(given_out).max(live + skippable);
         if slot < limit {
             return Ok(());
         }
@@ -206,7 +213,7 @@ impl After<'_> {
         }
         for (object, _) in self.delta.objects().filter(|(object, state)| state.is_none() && self.scene.has(*object)) {
             let user_count = match object {
-                Object::Node(key) => self.scene.instancers.get(&key).map_or(0, Vec::len),
+                Object::Node(key) => self.scene.instancers.get(&key).map_or(0, BTreeSet::len),
                 Object::Core(key) => self.scene.cores[key].user_count,
                 Object::Geometry(key) => self.scene.geometries[key].user_count,
                 Object::Material(key) => self.scene.materials[key].user_count,

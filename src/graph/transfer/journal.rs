@@ -51,6 +51,15 @@ impl Scene {
         }
     }
 
+    /// Notes nothing of an object that is gone now and was not there before either: it only passed.
+    pub(in crate::graph) fn forget_passing(&mut self, object: Object) {
+        if let Some(before) = self.journal.innermost()
+            && before.get(&object) == Some(&None)
+        {
+            before.remove(&object);
+        }
+    }
+
     fn note(&mut self, object: Object) {
         let is_known = |before: &mut Before| before.contains_key(&object);
         if !self.journal.innermost().is_some_and(is_known) {
