@@ -36,6 +36,9 @@ impl Queries<'_> {
     }
 }
 
+/// Far above the rounding of a distance, relative to what it is computed from.
+const SLACK: f64 = 1e-12;
+
 struct Search<'a> {
     queries: &'a Queries<'a>,
     /// Relative to the render origin.
@@ -113,8 +116,15 @@ impl<'a> LocalPoint<'a> {
         // How far the box reaches beyond that point towards ours.
         let along = world_from_local.matrix3.transpose() * (away / length);
         let reach = (along * (min - nearest)).max(along * (max - nearest)).element_sum();
-        (length - reach).max(0.0)
+        // Less by what rounding may have added: what lies exactly at the limit is found.
+        (length - reach - (length + reach.abs()) * SLACK).max(0.0)
     }
+}
+
+/// Whether a point is behind a triangle, both in local space: there the winding says which side is the front, and an
+/// instance that is nearly flat in the world is not.
+fn is_behind([a, b, c]: [DVec3; 3], point: DVec3) -> bool {
+    (b - a).cross(c - a).dot(point - a) < 0.0
 }
 
 /// The weights of the point of a triangle that is nearest to one of the world, how far it is, and whether that is behind.
@@ -123,10 +133,8 @@ fn nearest_on(placement: &Placement<'_>, triangle: &Triangle, point: DVec3) -> (
     let local = [triangle.v0, triangle.v1, triangle.v2].map(vector);
     let corners = local.map(|corner| placement.world_from_local.transform_point3(corner) - point);
     let [a, b, c] = corners;
-    // The winding in local space says which side is the front.
-    let is_mirrored = placement.world_from_local.matrix3.determinant() < 0.0;
     let normal = (b - a).cross(c - a);
-    let back = (normal.dot(a) > 0.0) != is_mirrored;
+    let back = is_behind(local, placement.local_from_world.transform_point3(point));
 
     // Above the triangle, or nearest to an edge: a triangle without area has edges, too.
     let [of_b, of_c] =

@@ -51,9 +51,11 @@ impl Scene {
         }
     }
 
-    /// Notes nothing of an object that is gone now and was not there before either: it only passed.
+    /// Notes nothing of an object that is gone now and was not there before the group either: it only passed. (A
+    /// transaction does not last long enough for that to matter.)
     pub(in crate::graph) fn forget_passing(&mut self, object: Object) {
-        if let Some(before) = self.journal.innermost()
+        if !self.journal.is_in_transaction()
+            && let Some(before) = self.journal.innermost()
             && before.get(&object) == Some(&None)
         {
             before.remove(&object);
