@@ -173,11 +173,11 @@ impl InstanceTable {
 
     /// All members must be written again.
     pub(super) fn mark_all(&mut self) {
-        (0..self.slots.len())
-            .filter(|&i| self.slots[i].member.is_some())
-            .collect::<Vec<_>>()
-            .into_iter()
-            .for_each(|slot| self.mark(slot as u32));
+        for slot in 0..self.slots.len() {
+            if self.slots[slot].member.is_some() {
+                self.mark(slot as u32);
+            }
+        }
     }
 
     fn mark(&mut self, slot: u32) {

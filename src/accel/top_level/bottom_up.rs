@@ -13,9 +13,9 @@ use crate::device::layout::{NONE, Node, PrimitiveRange};
 use crate::math::Aabb;
 
 /// Subtrees of fewer nodes are refitted by one thread.
-const TASK_MINIMUM: usize = 1 << 12;
+const TASK_MINIMUM: usize = 1 << 13;
 /// And all of fewer nodes than this: other threads would come too late.
-const PARALLEL_MINIMUM: usize = 1 << 14;
+const PARALLEL_MINIMUM: usize = 1 << 16;
 
 /// Computes all boxes anew, those of the leaves from `boxes`, and marks the nodes between the first and the last change of
 /// each task. Returns the areas, and whether any node changed. O(n), on all threads of the current rayon pool.
