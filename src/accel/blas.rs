@@ -10,7 +10,7 @@ use super::tree::{Extent, Reference, TASK_MINIMUM};
 use super::validate::{StructureError, check_nodes};
 use crate::Result;
 use crate::device::layout::{Node, PrimitiveRange, Triangle};
-use crate::graph::Geometry;
+use crate::graph::{Geometry, Quality, Structure};
 use crate::math::Aabb;
 
 /// A bottom-level structure: arrays that are copied to the device as they are, at any offset.
@@ -28,6 +28,8 @@ pub struct Blas {
 /// How a [`Blas`] is built.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BuildParams {
+    /// What is built, and by which builder.
+    pub structure: Structure,
     /// The most triangles in a leaf, 1 to 15 (clamped).
     pub max_leaf_size: u32,
     /// Cost of testing a triangle, in units of fetching a node and testing its box. Dearer triangles make smaller leaves:
@@ -37,13 +39,18 @@ pub struct BuildParams {
 
 impl BuildParams {
     /// One triangle a leaf, as in the paper.
-    pub const PAPER: Self = Self { max_leaf_size: 1, triangle_cost: 1.5 };
+    pub const PAPER: Self = Self { structure: Structure::Bvh(Quality::Balanced), max_leaf_size: 1, triangle_cost: 1.5 };
+
+    /// By default, but this structure.
+    pub fn new(structure: Structure) -> Self {
+        Self { structure, ..Self::default() }
+    }
 }
 
 impl Default for BuildParams {
     /// As many triangles a leaf as the heuristic likes.
     fn default() -> Self {
-        Self { max_leaf_size: PrimitiveRange::MAX_COUNT, triangle_cost: 1.5 }
+        Self { structure: Structure::default(), max_leaf_size: PrimitiveRange::MAX_COUNT, triangle_cost: 1.5 }
     }
 }
 

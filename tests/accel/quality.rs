@@ -8,7 +8,7 @@ use ropewalk::math::Aabb;
 use crate::kernel_support::Mesh;
 use crate::meshes::{adversarial, geometry};
 
-const PARAMS: BuildParams = BuildParams { max_leaf_size: 15, triangle_cost: 1.5 };
+const PARAMS: BuildParams = BuildParams { max_leaf_size: 15, ..BuildParams::PAPER };
 
 fn half_area(aabb: &Aabb) -> f64 {
     let d: DVec3 = aabb.max.as_dvec3() - aabb.min.as_dvec3();

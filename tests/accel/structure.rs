@@ -10,9 +10,9 @@ use crate::kernel_support::Mesh;
 use crate::meshes::{adversarial, beyond_arithmetic, geometry, grid, identical};
 
 const PARAMS: [BuildParams; 3] = [
-    BuildParams { max_leaf_size: 15, triangle_cost: 1.5 },
+    BuildParams { max_leaf_size: 15, ..BuildParams::PAPER },
     BuildParams::PAPER,
-    BuildParams { max_leaf_size: 15, triangle_cost: 0.1 },
+    BuildParams { max_leaf_size: 15, triangle_cost: 0.1, ..BuildParams::PAPER },
 ];
 
 /// The triangles that a ray can hit.
@@ -88,7 +88,7 @@ fn invalid_geometry_is_refused() {
 fn leaf_size_is_clamped() {
     let mesh = Mesh::soup(3, 500);
     for (asked, largest) in [(0, 1), (1, 1), (4, 4), (1000, 15)] {
-        let params = BuildParams { max_leaf_size: asked, triangle_cost: 1e-3 };
+        let params = BuildParams { max_leaf_size: asked, triangle_cost: 1e-3, ..BuildParams::default() };
         let blas = Blas::build(&geometry(&mesh), &params).unwrap();
         assert_eq!(blas.stats().largest_leaf.max(largest), largest);
     }
