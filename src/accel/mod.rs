@@ -20,6 +20,7 @@ mod tree;
 mod validate;
 
 pub use blas::{Blas, BuildParams};
+pub use flatten::MAX_CHILDREN;
 pub use sah::MAX_DEPTH;
 pub use stats::Stats;
 pub use support::Support;

@@ -7,7 +7,7 @@ use glam::Vec4;
 use rayon::prelude::*;
 
 use super::bins::{Binning, Bins, CHUNK, PARALLEL_MINIMUM, Split};
-use super::tree::{BuildNode, BuildTree, Extent, LaneBox, Reference, TASK_MINIMUM, right_child, slot_count};
+use super::tree::{BuildNode, BuildTree, Extent, LaneBox, Reference, TASK_MINIMUM, slots_below};
 
 /// No hierarchy has more levels than this: nodes below level 64 are halved by count, and 2^28 primitives can be halved 28
 /// times.
@@ -25,13 +25,17 @@ pub(super) struct SahParams {
 
 /// Builds a tree over references, `extent` being theirs. O(n log n).
 pub(super) fn build(mut references: Vec<Reference>, extent: &Extent, params: &SahParams) -> BuildTree {
-    let mut nodes: Vec<BuildNode> = bytemuck::zeroed_vec(slot_count(references.len()));
-    let mut order: Vec<u32> = bytemuck::zeroed_vec(references.len());
-    if !references.is_empty() {
-        let mut spare: Vec<Reference> = bytemuck::zeroed_vec(references.len());
-        let root = Task { references: &mut references, spare: &mut spare, order: &mut order, extent, depth: 0 };
-        root.run(&mut nodes, &mut Worker::new(params));
+    let count = references.len();
+    if count == 0 {
+        return BuildTree { nodes: Vec::new(), order: Vec::new() };
     }
+    let mut nodes: Vec<BuildNode> = bytemuck::zeroed_vec(1 + slots_below(count));
+    let mut order: Vec<u32> = bytemuck::zeroed_vec(count);
+    let mut spare: Vec<Reference> = bytemuck::zeroed_vec(count);
+    let place = Place { slot: 1, primitive: 0, depth: 0 };
+    let root = Task { references: &mut references, spare: &mut spare, order: &mut order, extent, place };
+    let (root_slot, slots) = nodes.split_at_mut(1);
+    root_slot[0] = root.run(slots, &mut Worker::new(params)).0;
     BuildTree { nodes, order }
 }
 
@@ -42,6 +46,16 @@ struct Task<'a> {
     spare: &'a mut [Reference],
     order: &'a mut [u32],
     extent: &'a Extent,
+    place: Place,
+}
+
+/// Where a subtree is to go.
+#[derive(Clone, Copy)]
+struct Place {
+    /// Where its slots begin in the tree's nodes.
+    slot: usize,
+    /// Where its primitives begin in the tree's order.
+    primitive: usize,
     depth: u32,
 }
 
@@ -58,47 +72,49 @@ impl<'a> Worker<'a> {
     }
 }
 
+/// The root of a subtree, and how many of the slots below it are in use or before one that is.
+type Built = (BuildNode, usize);
+
 impl Task<'_> {
-    /// Builds the subtree at the start of `nodes` and returns the number of its nodes. Recursion is at most [`MAX_DEPTH`] deep.
-    fn run(self, nodes: &mut [BuildNode], worker: &mut Worker) -> u32 {
+    /// Builds the subtree with `slots` for what is below its root. Recursion is at most [`MAX_DEPTH`] deep.
+    fn run(self, slots: &mut [BuildNode], worker: &mut Worker) -> Built {
         let count = self.references.len();
         if count == 1 {
-            return self.make_leaf(nodes);
+            return self.make_leaf();
         }
         if count == 2 {
-            return self.pair(nodes, worker.params);
+            return self.pair(slots, worker.params);
         }
         let can_be_leaf = count <= worker.params.max_leaf_size;
         let scale = unit_scale(&self.extent.bounds);
         let params = worker.params;
         match self.find_split(scale, worker) {
-            Some((split, _)) if can_be_leaf && self.is_leaf_cheaper(split.cost, scale, params) => self.make_leaf(nodes),
-            Some((split, chunks)) => self.split(&split, &chunks, nodes, worker),
-            None if can_be_leaf => self.make_leaf(nodes),
-            None => self.halve(nodes, worker),
+            Some((split, _)) if can_be_leaf && self.is_leaf_cheaper(split.cost, scale, params) => self.make_leaf(),
+            Some((split, chunks)) => self.split(&split, &chunks, slots, worker),
+            None if can_be_leaf => self.make_leaf(),
+            None => self.halve(slots, worker),
         }
     }
 
     /// One leaf or two, without binning: no other count is as common.
-    fn pair(self, nodes: &mut [BuildNode], params: &SahParams) -> u32 {
+    fn pair(self, slots: &mut [BuildNode], params: &SahParams) -> Built {
         let scale = unit_scale(&self.extent.bounds);
         let boxes = [0, 1].map(|i| self.references[i].bounds());
         let split_cost = boxes[0].half_area(scale) + boxes[1].half_area(scale);
         if params.max_leaf_size >= 2 && self.is_leaf_cheaper(split_cost, scale, params) {
-            return self.make_leaf(nodes);
+            return self.make_leaf();
         }
-        nodes[0] = BuildNode::new(&self.extent.bounds, 3, 1);
         for (i, bounds) in boxes.iter().enumerate() {
-            nodes[1 + i] = BuildNode::new(bounds, 1, 0);
+            slots[i] = BuildNode::leaf(bounds, self.place.primitive + i, 1);
             self.order[i] = self.references[i].primitive();
         }
-        3
+        (BuildNode::inner(&self.extent.bounds, self.place.slot), 2)
     }
 
     /// The best split, and the bins of each chunk where the node is large. `None` where the heuristic has nothing to say:
     /// all centres coincide, no area is finite, or the tree is too deep.
     fn find_split(&self, scale: f32, worker: &mut Worker) -> Option<(Split, Vec<Bins>)> {
-        if self.depth >= MAX_SAH_DEPTH {
+        if self.place.depth >= MAX_SAH_DEPTH {
             return None;
         }
         let binning = Binning::new(self.extent, self.references.len())?;
@@ -118,7 +134,7 @@ impl Task<'_> {
         params.primitive_cost * self.references.len() as f32 <= inner_cost
     }
 
-    fn split(self, split: &Split, chunks: &[Bins], nodes: &mut [BuildNode], worker: &mut Worker) -> u32 {
+    fn split(self, split: &Split, chunks: &[Bins], slots: &mut [BuildNode], worker: &mut Worker) -> Built {
         let [left_centers, right_centers] = if chunks.is_empty() {
             partition(self.references, self.spare, split)
         } else {
@@ -127,11 +143,11 @@ impl Task<'_> {
         let left = Extent { bounds: split.left, centers: left_centers };
         let right = Extent { bounds: split.right, centers: right_centers };
         let partitioned = Self { references: self.spare, spare: self.references, ..self };
-        partitioned.recurse(split.left_count, &left, &right, nodes, worker)
+        partitioned.recurse(split.left_count, &left, &right, slots, worker)
     }
 
     /// Splits into two halves of equal count along the longest axis.
-    fn halve(self, nodes: &mut [BuildNode], worker: &mut Worker) -> u32 {
+    fn halve(self, slots: &mut [BuildNode], worker: &mut Worker) -> Built {
         let width = self.extent.centers.max - self.extent.centers.min;
         let axis = if width.x >= width.y && width.x >= width.z { 0 } else { 1 + usize::from(width.z > width.y) };
         let middle = self.references.len() / 2;
@@ -141,7 +157,7 @@ impl Task<'_> {
         });
         let (left, right) = self.references.split_at(middle);
         let (left, right) = (Extent::of(left), Extent::of(right));
-        self.recurse(middle, &left, &right, nodes, worker)
+        self.recurse(middle, &left, &right, slots, worker)
     }
 
     fn recurse(
@@ -149,36 +165,48 @@ impl Task<'_> {
         left_count: usize,
         left: &Extent,
         right: &Extent,
-        nodes: &mut [BuildNode],
+        slots: &mut [BuildNode],
         worker: &mut Worker,
-    ) -> u32 {
+    ) -> Built {
         let count = self.references.len();
-        let depth = self.depth + 1;
-        let (root, slots) = nodes.split_at_mut(1);
+        let node = BuildNode::inner(&self.extent.bounds, self.place.slot);
         let (left_order, right_order) = self.order.split_at_mut(left_count);
         let (left_references, right_references) = self.references.split_at_mut(left_count);
         let (left_spare, right_spare) = self.spare.split_at_mut(left_count);
-        let left = Task { references: left_references, spare: left_spare, order: left_order, extent: left, depth };
-        let right = Task { references: right_references, spare: right_spare, order: right_order, extent: right, depth };
-        let (left_nodes, right_nodes) = if count < TASK_MINIMUM {
-            let left_nodes = left.run(slots, worker);
-            (left_nodes, right.run(&mut slots[right_child(count, left_count, left_nodes)..], worker))
-        } else {
-            let (left_slots, right_slots) = slots.split_at_mut(right_child(count, left_count, 0));
-            let params = worker.params;
-            rayon::join(|| left.run(left_slots, worker), || right.run(right_slots, &mut Worker::new(params)))
+        let place = Place { slot: self.place.slot + 2, depth: self.place.depth + 1, ..self.place };
+        let left = Task { references: left_references, spare: left_spare, order: left_order, extent: left, place };
+        let right_place = Place { primitive: place.primitive + left_count, ..place };
+        let mut right = Task {
+            references: right_references,
+            spare: right_spare,
+            order: right_order,
+            extent: right,
+            place: right_place,
         };
-        let node_count = 1 + left_nodes + right_nodes;
-        root[0] = BuildNode::new(&self.extent.bounds, node_count, left_count as u32);
-        node_count
+
+        let (children, slots) = slots.split_at_mut(2);
+        let mut slot_count = slots.len();
+        if count < TASK_MINIMUM {
+            let (left_slots, right_slots);
+            (children[0], left_slots) = left.run(slots, worker);
+            right.place.slot += left_slots;
+            (children[1], right_slots) = right.run(&mut slots[left_slots..], worker);
+            slot_count = left_slots + right_slots;
+        } else {
+            let (left_slots, right_slots) = slots.split_at_mut(slots_below(left_count));
+            right.place.slot += left_slots.len();
+            let params = worker.params;
+            (children[0], children[1]) =
+                rayon::join(|| left.run(left_slots, worker).0, || right.run(right_slots, &mut Worker::new(params)).0);
+        }
+        (node, 2 + slot_count)
     }
 
-    fn make_leaf(self, nodes: &mut [BuildNode]) -> u32 {
+    fn make_leaf(self) -> Built {
         for (slot, reference) in self.order.iter_mut().zip(self.references.iter()) {
             *slot = reference.primitive();
         }
-        nodes[0] = BuildNode::new(&self.extent.bounds, 1, 0);
-        1
+        (BuildNode::leaf(&self.extent.bounds, self.place.primitive, self.references.len()), 0)
     }
 }
 

@@ -1,51 +1,70 @@
 //! What a builder makes: a binary tree over primitive boxes, not yet in device order.
 
-use bytemuck::Zeroable;
+use bytemuck::{Pod, Zeroable};
 use glam::{Vec3, Vec4, Vec4Swizzles};
 
 use crate::math::Aabb;
 
-/// A binary tree over `order.len()` primitives.
+/// A binary tree over primitives.
 ///
-/// A subtree of `n` primitives owns `2 n - 1` consecutive slots of `nodes` (as many as it can have nodes) and `n` of
-/// `order`: its root comes first, then its left child, then its right child, at [`right_child`]. So threads can fill
-/// subtrees side by side, and nothing needs an index.
+/// Builders that fill subtrees side by side leave gaps in both arrays: a subtree of up to `n` leaves owns `2 n - 2` slots of
+/// `nodes` below its root, as many as it can have nodes there, and `n` of `order`. Memory that is never touched costs nothing.
 pub(super) struct BuildTree {
+    /// The root first, unless there is nothing at all; the two children of a node stand side by side.
     pub(super) nodes: Vec<BuildNode>,
-    /// Primitive numbers, leaf after leaf.
+    /// Primitive numbers, a range for each leaf.
     pub(super) order: Vec<u32>,
 }
 
 /// A node of a [`BuildTree`].
-#[derive(Clone, Copy, Zeroable)]
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
 pub(super) struct BuildNode {
     pub(super) min: Vec3,
+    /// Of an inner node its first child, of a leaf its first primitive in `order`.
+    first: u32,
     pub(super) max: Vec3,
-    /// Nodes in this subtree, itself included.
-    pub(super) node_count: u32,
-    /// Primitives below the left child; 0 for a leaf.
-    pub(super) left_primitives: u32,
+    /// 0 for an inner node.
+    count: u32,
+}
+
+/// What is below a node.
+pub(super) enum Content {
+    /// The index of the first child; the second one is next to it.
+    Children(usize),
+    /// A range of `order`.
+    Primitives(std::ops::Range<usize>),
 }
 
 impl BuildNode {
-    pub(super) fn new(bounds: &LaneBox, node_count: u32, left_primitives: u32) -> Self {
-        Self { min: bounds.min.xyz(), max: bounds.max.xyz(), node_count, left_primitives }
+    /// `first_child` is an index of the tree's nodes.
+    pub(super) fn inner(bounds: &LaneBox, first_child: usize) -> Self {
+        Self { min: bounds.min.xyz(), first: first_child as u32, max: bounds.max.xyz(), count: 0 }
+    }
+
+    /// `first` is an index of the tree's order; there is at least one primitive.
+    pub(super) fn leaf(bounds: &LaneBox, first: usize, count: usize) -> Self {
+        Self { min: bounds.min.xyz(), first: first as u32, max: bounds.max.xyz(), count: count as u32 }
+    }
+
+    pub(super) fn content(&self) -> Content {
+        let first = self.first as usize;
+        if self.count == 0 { Content::Children(first) } else { Content::Primitives(first..first + self.count as usize) }
+    }
+
+    #[inline]
+    pub(super) fn bounds(&self) -> LaneBox {
+        LaneBox { min: self.min.extend(0.0), max: self.max.extend(0.0) }
     }
 }
 
-/// How many slots of [`BuildTree::nodes`] a subtree owns.
-pub(super) fn slot_count(primitive_count: usize) -> usize {
-    (2 * primitive_count).saturating_sub(1)
+/// How many slots a subtree of so many leaves owns below its root.
+pub(super) fn slots_below(leaf_count: usize) -> usize {
+    2 * leaf_count.max(1) - 2
 }
 
-/// Subtrees of fewer primitives are built by one thread, and their nodes stand without gaps: memory that is never touched
-/// costs nothing.
+/// Subtrees of fewer primitives are built by one thread, and their nodes stand without gaps.
 pub(super) const TASK_MINIMUM: usize = 1 << 10;
-
-/// Where the right child of a subtree of `primitive_count` primitives stands, counted from the left child.
-pub(super) fn right_child(primitive_count: usize, left_primitives: usize, left_nodes: u32) -> usize {
-    if primitive_count < TASK_MINIMUM { left_nodes as usize } else { slot_count(left_primitives) }
-}
 
 /// A box in two SIMD registers; what is in the fourth lanes means nothing.
 #[derive(Clone, Copy, Zeroable)]
