@@ -4,6 +4,7 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 use glam::Vec3;
 
+use super::sah::SahParams;
 use super::tree::{BuildNode, BuildTree, Content};
 use crate::device::layout::{NONE, Node, PrimitiveRange};
 
@@ -23,15 +24,15 @@ const TASK_DEPTH: u32 = 12;
 /// An inner node n with k children under a node a is left out, so that they become a's, where that makes fewer fetches: n is
 /// fetched as often as a's box is met, and its children as often as its own box is; without it they are fetched as often as a's
 /// is. How often that is goes by the surface A, so the condition is k A(a) < A(a) + k A(n). It is decided from the leaves up,
-/// with a the node directly above.
-pub(super) fn flatten(tree: &BuildTree) -> (Vec<Node>, Vec<u32>) {
+/// with a the node directly above. In the same way a subtree becomes a leaf where that is cheaper.
+pub(super) fn flatten(tree: &BuildTree, params: &SahParams) -> (Vec<Node>, Vec<u32>) {
     if tree.nodes.is_empty() {
         return (Vec::new(), Vec::new());
     }
     let parts = bytemuck::zeroed_vec(tree.nodes.len());
     let task_depth = if tree.nodes.len() < PARALLEL_MINIMUM { 0 } else { TASK_DEPTH };
-    let flattener = Flattener { tree, parts, task_depth };
-    let whole = flattener.plan(0, 0);
+    let flattener = Flattener { tree, params, parts, task_depth };
+    let whole = flattener.plan(0, 0).part;
     flattener.parts[0].store(Part { tops: 1, ..whole }.pack(), Relaxed);
     let (mut nodes, mut order) =
         (bytemuck::zeroed_vec(whole.nodes as usize), bytemuck::zeroed_vec(whole.primitives as usize));
@@ -41,6 +42,7 @@ pub(super) fn flatten(tree: &BuildTree) -> (Vec<Node>, Vec<u32>) {
 
 struct Flattener<'a> {
     tree: &'a BuildTree,
+    params: &'a SahParams,
     /// What becomes of the subtree of each node, packed. Atomic for the threads that plan: they know which subtree is whose.
     parts: Vec<AtomicU64>,
     task_depth: u32,
@@ -66,6 +68,35 @@ impl Part {
     }
 }
 
+/// What a subtree gives with its root kept, with the root's children for tops.
+struct Plan {
+    part: Part,
+    /// Of the root's box, half the surface.
+    area: f64,
+    /// Of all that is below the root, in fetches times area.
+    cost: f64,
+}
+
+impl Plan {
+    /// Adds one of two children, and decides whether it is left out. Returns what it gives.
+    fn add(&mut self, child: Plan) -> Part {
+        let children = f64::from(child.part.tops);
+        let saved = children * child.area + self.area - children * self.area;
+        let left_out =
+            child.part.tops > 0 && saved > 0.0 && self.part.tops + child.part.tops <= MAX_CHILDREN as u32 + 1;
+        let part =
+            if left_out { Part { nodes: child.part.nodes - 1, ..child.part } } else { Part { tops: 1, ..child.part } };
+        self.part.nodes += part.nodes;
+        self.part.primitives += part.primitives;
+        self.part.tops += part.tops - 1;
+        self.cost += child.cost + self.area;
+        if left_out {
+            self.cost -= saved;
+        }
+        part
+    }
+}
+
 /// Where a subtree goes.
 #[derive(Clone, Copy)]
 struct Place {
@@ -77,49 +108,67 @@ struct Place {
 }
 
 impl Flattener<'_> {
-    /// Decides for all nodes below one whether they are kept. Returns what the subtree gives with its root kept, with the
-    /// root's children for tops. Recursion is as deep as the tree.
-    fn plan(&self, index: usize, depth: u32) -> Part {
+    /// Decides for all nodes below one whether they are kept. Recursion is as deep as the tree.
+    fn plan(&self, index: usize, depth: u32) -> Plan {
         let node = &self.tree.nodes[index];
+        let area = half_area(node);
+        let leaf = |primitives: u32| Plan {
+            part: Part { nodes: 1, primitives, tops: 0 },
+            area,
+            cost: area * f64::from(primitives) * f64::from(self.params.primitive_cost),
+        };
         let child = match node.content() {
-            Content::Primitives(range) => return Part { nodes: 1, primitives: range.len() as u32, tops: 0 },
+            Content::Primitives(range) => return leaf(range.len() as u32),
             Content::Children(child) => child,
         };
         let plan = |child| self.plan(child, depth + 1);
-        let parts = self.join(depth, || plan(child), || plan(child + 1));
-        let area = half_area(node);
-        let mut whole = Part { nodes: 1, primitives: 0, tops: 2 };
-        for (child, part) in [child, child + 1].into_iter().zip([parts.0, parts.1]) {
-            let children = f64::from(part.tops);
-            let is_dear = children * area < area + children * half_area(&self.tree.nodes[child]);
-            let left_out = part.tops > 0 && is_dear && whole.tops + part.tops - 1 <= MAX_CHILDREN as u32;
-            let part = if left_out { Part { nodes: part.nodes - 1, ..part } } else { Part { tops: 1, ..part } };
+        let plans = self.join(depth, || plan(child), || plan(child + 1));
+        let mut whole = Plan { part: Part { nodes: 1, primitives: 0, tops: 2 }, area, cost: 0.0 };
+        for (child, plan) in [child, child + 1].into_iter().zip([plans.0, plans.1]) {
+            let part = whole.add(plan);
             self.parts[child].store(part.pack(), Relaxed);
-            whole.nodes += part.nodes;
-            whole.primitives += part.primitives;
-            whole.tops += part.tops - 1;
         }
-        whole
+        match self.primitives_of_leaf(index, &whole).map(leaf) {
+            Some(leaf) if leaf.cost <= whole.cost => leaf,
+            _ => whole,
+        }
+    }
+
+    /// How many primitives there would be in a leaf instead of a subtree, if they are not too many.
+    fn primitives_of_leaf(&self, index: usize, whole: &Plan) -> Option<u32> {
+        let (primitives, most) = (whole.part.primitives as usize, self.params.max_leaf_size);
+        if !self.tree.repeats {
+            return (primitives <= most).then_some(primitives as u32);
+        }
+        // More may be more of the same.
+        let mut room = [0; PrimitiveRange::MAX_COUNT as usize];
+        let is_worth_a_look = primitives <= 2 * most;
+        is_worth_a_look.then(|| self.tree.gather(index, &mut room[..most], 0)).flatten().map(|count| count as u32)
     }
 
     /// Writes a subtree to slices of its size. Recursion is as deep as the tree.
     fn emit(&self, index: usize, place: Place, mut nodes: &mut [Node], order: &mut [u32]) {
         let tree_node = &self.tree.nodes[index];
+        let part = self.part(index);
         let mut inside = Place { depth: place.depth + 1, ..place };
-        if self.part(index).tops == 1
+        if part.tops == 1
             && let Some(node) = nodes.split_off_first_mut()
         {
             inside.node += 1;
             let next = inside.node + nodes.len() as u32;
             let (min, max) = padded(tree_node.min, tree_node.max);
             let escape_index = if next == place.end { NONE } else { next };
-            *node = Node { min: min.to_array(), escape_index, max: max.to_array(), primitives: PrimitiveRange::INNER };
-            if let Content::Primitives(range) = tree_node.content() {
-                node.primitives = PrimitiveRange::leaf(place.primitive, range.len() as u32);
+            let is_leaf = nodes.is_empty();
+            let primitives =
+                if is_leaf { PrimitiveRange::leaf(place.primitive, part.primitives) } else { PrimitiveRange::INNER };
+            *node = Node { min: min.to_array(), escape_index, max: max.to_array(), primitives };
+            if is_leaf {
+                self.tree.gather(index, order, 0);
+                return;
             }
         }
         match tree_node.content() {
-            Content::Primitives(range) => order.copy_from_slice(&self.tree.order[range]),
+            Content::Primitives(_) => {}
             Content::Children(child) => {
                 let [first, second] = self.larger_first(child);
                 let part = self.part(first);

@@ -9,10 +9,16 @@
 //! - No hierarchy is deeper than [`MAX_DEPTH`].
 //! - The same input gives the same arrays, whatever the number of threads.
 
+mod agglomerate;
 mod bins;
 mod blas;
+mod clip;
+mod cluster;
 mod flatten;
+mod partition;
+mod reinsert;
 mod sah;
+mod spatial;
 mod stats;
 mod support;
 mod top_level;
@@ -21,8 +27,10 @@ mod validate;
 
 pub use blas::{Blas, BuildParams};
 pub use flatten::MAX_CHILDREN;
-pub use sah::MAX_DEPTH;
 pub use stats::Stats;
 pub use support::Support;
 pub use top_level::{Rebuild, TopLevel, Update};
 pub use validate::StructureError;
+
+/// No hierarchy has more levels.
+pub const MAX_DEPTH: usize = if cluster::MAX_DEPTH > sah::MAX_DEPTH { cluster::MAX_DEPTH } else { sah::MAX_DEPTH };

@@ -9,11 +9,36 @@ use crate::math::Aabb;
 ///
 /// Builders that fill subtrees side by side leave gaps in both arrays: a subtree of up to `n` leaves owns `2 n - 2` slots of
 /// `nodes` below its root, as many as it can have nodes there, and `n` of `order`. Memory that is never touched costs nothing.
+#[derive(Default)]
 pub(super) struct BuildTree {
     /// The root first, unless there is nothing at all; the two children of a node stand side by side.
     pub(super) nodes: Vec<BuildNode>,
     /// Primitive numbers, a range for each leaf.
     pub(super) order: Vec<u32>,
+    /// Whether a primitive may be in several leaves. None is in one leaf twice.
+    pub(super) repeats: bool,
+}
+
+impl BuildTree {
+    /// Adds the primitives below a node to the first `count` of `target`, each once. Returns how many there are then, or `None`
+    /// if they do not fit. Recursion is as deep as the tree.
+    pub(super) fn gather(&self, node: usize, target: &mut [u32], mut count: usize) -> Option<usize> {
+        match self.nodes[node].content() {
+            Content::Primitives(range) => {
+                for &primitive in &self.order[range] {
+                    if !(self.repeats && target[..count].contains(&primitive)) {
+                        *target.get_mut(count)? = primitive;
+                        count += 1;
+                    }
+                }
+                Some(count)
+            }
+            Content::Children(child) => {
+                let count = self.gather(child, target, count)?;
+                self.gather(child + 1, target, count)
+            }
+        }
+    }
 }
 
 /// A node of a [`BuildTree`].
@@ -81,6 +106,15 @@ impl LaneBox {
         Self { min: self.min.min(other.min), max: self.max.max(other.max) }
     }
 
+    pub(super) fn aabb(self) -> Aabb {
+        Aabb { min: self.min.xyz(), max: self.max.xyz() }
+    }
+
+    /// What is in both; a least corner is above the greatest one if nothing is.
+    pub(super) fn intersection(self, other: Self) -> Self {
+        Self { min: self.min.max(other.min), max: self.max.min(other.max) }
+    }
+
     #[inline]
     pub(super) fn with_point(self, point: Vec4) -> Self {
         Self { min: self.min.min(point), max: self.max.max(point) }
@@ -92,6 +126,14 @@ impl LaneBox {
         let d = (self.max - self.min) * scale;
         d.x * d.y + d.y * d.z + d.z * d.x
     }
+}
+
+/// The power of two that brings the longest side of a box to between 1 and 2, so that areas neither overflow nor vanish;
+/// infinite or zero for a box without a side of normal length.
+pub(super) fn unit_scale(bounds: &LaneBox) -> f32 {
+    let side = bounds.max - bounds.min;
+    let longest = side.x.max(side.y).max(side.z);
+    1.0 / f32::from_bits(longest.to_bits() & f32::INFINITY.to_bits())
 }
 
 /// A primitive as the builder moves it about: its box and its number. 32 bytes.
@@ -109,6 +151,11 @@ const TAG: u32 = 0x4000_0000;
 impl Reference {
     pub(super) fn new(bounds: &Aabb, primitive: u32) -> Self {
         Self { min: bounds.min.extend(f32::from_bits(TAG | primitive)), max: bounds.max.extend(1.0) }
+    }
+
+    /// The same primitive, of which only what is in `bounds` counts.
+    pub(super) fn within(&self, bounds: &LaneBox) -> Self {
+        Self { min: bounds.min.with_w(self.min.w), max: bounds.max.with_w(1.0) }
     }
 
     pub(super) fn primitive(&self) -> u32 {
@@ -150,7 +197,7 @@ impl Extent {
     }
 
     pub(super) fn aabb(&self) -> Aabb {
-        Aabb { min: self.bounds.min.xyz(), max: self.bounds.max.xyz() }
+        self.bounds.aabb()
     }
 
     pub(super) fn of(references: &[Reference]) -> Self {
