@@ -6,6 +6,7 @@
 mod agreement;
 mod device;
 mod frame;
+mod layers;
 mod scene;
 mod soup;
 #[path = "../support/gpu.rs"]

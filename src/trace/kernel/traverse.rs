@@ -163,8 +163,13 @@ fn is_closer(t: f32, instance: u32, primitive: u32, hit: &Hit) -> bool {
 /// How much light gets through between `t_min` and `t_max`.
 pub(crate) fn transmittance(scene: &KernelScene<'_>, ray: &Ray, ray_mask: u32) -> Vec3 {
     let mut light = Vec3::ONE;
+    let mut has_layers = false;
     let mut traversal = Traversal::new(scene, ray, ray_mask);
     while let Some(leaf) = traversal.next_leaf(scene, ray.t_max) {
+        if is_layered(traversal.flags) {
+            has_layers = true;
+            continue;
+        }
         let first = (traversal.first_triangle + leaf.first()) as usize;
         for triangle in &scene.triangles[first..][..leaf.count() as usize] {
             let Some(crossing) = cross_triangle(&traversal.shear, triangle) else { continue };
@@ -176,7 +181,52 @@ pub(crate) fn transmittance(scene: &KernelScene<'_>, ray: &Ray, ray_mask: u32) -
             }
         }
     }
+    let mut layer = Hit { t: -1.0, ..Hit::MISS };
+    while has_layers {
+        layer = next_layer(scene, ray, ray_mask, &layer);
+        if layer.instance == NONE {
+            break;
+        }
+        let instance = &scene.instances[layer.instance as usize];
+        light *= passes(scene, instance, &scene.triangles[layer.triangle as usize], layer.u, layer.v);
+        if max_component(light) <= 0.0 {
+            return Vec3::ZERO;
+        }
+    }
     light
+}
+
+/// Whether what is crossed is to be taken layer by layer: it may be met more than once, but counts once.
+fn is_layered(flags: u32) -> bool {
+    InstanceFlags::from_bits_retain(flags).contains(InstanceFlags::TRANSLUCENT | InstanceFlags::REPEATS)
+}
+
+/// The first crossing of a [layered](is_layered) instance after `last`, in the order of t, instance and primitive.
+fn next_layer(scene: &KernelScene<'_>, ray: &Ray, ray_mask: u32, last: &Hit) -> Hit {
+    let mut hit = Hit { t: ray.t_max, ..Hit::MISS };
+    let rest = Ray { t_min: max(ray.t_min, last.t), ..*ray };
+    let mut traversal = Traversal::new(scene, &rest, ray_mask);
+    while let Some(leaf) = traversal.next_leaf(scene, hit.t) {
+        if !is_layered(traversal.flags) {
+            continue;
+        }
+        let first = traversal.first_triangle + leaf.first();
+        for (i, triangle) in (first..).zip(&scene.triangles[first as usize..][..leaf.count() as usize]) {
+            let Some(crossing) = cross_triangle(&traversal.shear, triangle) else { continue };
+            let (t, instance, primitive) = (crossing.t, traversal.instance, triangle.primitive);
+            if t >= ray.t_min && is_farther(t, instance, primitive, last) && is_closer(t, instance, primitive, &hit) {
+                hit = Hit { t, u: crossing.u, v: crossing.v, instance, primitive, triangle: i, ..Hit::MISS };
+            }
+        }
+    }
+    hit
+}
+
+fn is_farther(t: f32, instance: u32, primitive: u32, hit: &Hit) -> bool {
+    if t != hit.t {
+        return t > hit.t;
+    }
+    (instance, primitive) > (hit.instance, hit.primitive)
 }
 
 /// Whether anything that lets no light through lies between `t_min` and `t_max`.
@@ -254,6 +304,27 @@ mod tests {
             assert!(!any_hit(&scene, &ray(t_min, t_max), 2));
         }
         assert_eq!(transmittance(&scene, &ray(0.0, 9.0), 1), Vec3::ONE, "the mask hides them");
+    }
+
+    #[test]
+    fn what_is_met_more_than_once_counts_once() {
+        // The same triangles in two leaves and more, as a kd-tree has them, and two that cross at one place.
+        let flags = InstanceFlags::TRANSLUCENT | InstanceFlags::REPEATS;
+        let mut arrays = layers(5, blended(0.5), flags);
+        let mut triangles = arrays.triangles.to_vec();
+        triangles[4] = Triangle { primitive: 4, ..triangles[3] };
+        triangles.extend_from_within(1..4);
+        arrays.triangles.replace(&triangles);
+        let leaf = arrays.blas_nodes[0];
+        let root = Node { primitives: PrimitiveRange::INNER, ..leaf };
+        let first = Node { escape_index: 2, ..leaf };
+        let second = Node { primitives: PrimitiveRange::leaf(4, 4), ..leaf };
+        arrays.blas_nodes.replace(&[root, first, second]);
+        let scene = KernelScene::new(&arrays);
+        for (t_min, t_max, layers) in [(0.0, 0.9, 0), (0.0, 1.0, 1), (1.0, 1.0, 1), (0.0, 9.0, 5), (1.5, 4.0, 4)] {
+            let part = 0.5f32.powi(layers);
+            assert_eq!(transmittance(&scene, &ray(t_min, t_max), 2), Vec3::splat(part), "{t_min} to {t_max}");
+        }
     }
 
     #[test]
