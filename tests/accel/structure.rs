@@ -3,10 +3,10 @@
 use glam::Vec3;
 use ropewalk::Error;
 use ropewalk::accel::{Blas, BuildParams, MAX_DEPTH, StructureError};
-use ropewalk::device::layout::{NONE, PrimitiveRange};
+use ropewalk::device::layout::{NONE, Node, PrimitiveRange};
 use ropewalk::graph::{Geometry, Quality, Structure};
 
-use crate::kernel_support::Mesh;
+use crate::kernel_support::{Mesh, Random};
 use crate::meshes::{STRUCTURES, adversarial, beyond_arithmetic, geometry, grid, identical};
 
 const PARAMS: [BuildParams; 3] = [
@@ -213,4 +213,38 @@ fn validation_finds_what_is_missing_of_a_triangle() {
         found += usize::from(spoilt.validate().is_err());
     }
     assert!(found * 2 > times(repeated), "{found} of {}", times(repeated));
+}
+
+#[test]
+fn every_point_of_a_triangle_is_in_a_leaf_that_holds_it() {
+    let (mut points, mut parts) = (0, 0);
+    for (seed, (name, mesh)) in adversarial().into_iter().enumerate() {
+        for structure in [Structure::Bvh(Quality::Best), Structure::KdTree] {
+            let blas = Blas::build(&geometry(&mesh), &BuildParams::new(structure)).unwrap();
+            parts += blas.stats().duplicate_count;
+            let mut leaves = vec![Vec::new(); mesh.indices.len()];
+            for node in blas.nodes.iter().filter(|node| node.primitives != PrimitiveRange::INNER) {
+                let first = node.primitives.first() as usize;
+                for triangle in &blas.triangles[first..][..node.primitives.count() as usize] {
+                    leaves[triangle.primitive as usize].push(node);
+                }
+            }
+            let mut random = Random(seed as u64);
+            for (primitive, leaves) in leaves.iter().enumerate().filter(|(_, leaves)| leaves.len() > 1) {
+                let [a, b, c] = mesh.triangle(primitive).map(|corner| corner.as_dvec3());
+                for _ in 0..20 {
+                    let (u, v) = (f64::from(random.unsigned()), f64::from(random.unsigned()));
+                    let (u, v) = if u + v > 1.0 { (1.0 - u, 1.0 - v) } else { (u, v) };
+                    let point = a + (b - a) * u + (c - a) * v;
+                    let contains = |node: &&&Node| {
+                        let [min, max] = [node.min, node.max].map(|corner| Vec3::from(corner).as_dvec3());
+                        min.cmple(point).all() && max.cmpge(point).all()
+                    };
+                    assert!(leaves.iter().any(|node| contains(&node)), "{name}, {structure:?}: {point}");
+                    points += 1;
+                }
+            }
+        }
+    }
+    assert!(points > 50_000 && parts > 3_000, "{points} points, {parts} parts");
 }
