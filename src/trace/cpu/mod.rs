@@ -1,8 +1,18 @@
 //! The `cpu` executor: the kernel on all cores, a tile of pixels at a time.
 
+mod hits;
+mod lanes;
+mod packet;
+mod single;
+mod top;
+
+use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
-use super::kernel::{KernelScene, Pixel, any_hit, closest_hit, render_pixel};
+use self::hits::{Any, Closest, ask_packet};
+use self::packet::LANES;
+use self::single::Stack;
+use super::kernel::{KernelScene, Pixel, render_pixel};
 use super::planes::Planes;
 use super::{DeviceInfo, FrameRequest, Tracer};
 use crate::Result;
@@ -23,8 +33,8 @@ pub struct Cpu {
 
 /// Pixels along a tile's side: rays of a tile visit much the same nodes, and there are enough tiles to keep all cores busy.
 const TILE: u32 = 16;
-/// Rays that one task traces at least.
-const RAYS_A_TASK: usize = 256;
+/// Packets of rays that one task traces at least.
+const PACKETS_A_TASK: usize = 16;
 
 impl Default for Cpu {
     fn default() -> Self {
@@ -75,12 +85,26 @@ impl Tracer for Cpu {
 
     fn closest_hits(&mut self, arrays: &DeviceArrays, rays: &[Ray], ray_mask: u32) -> Result<Vec<Hit>> {
         let scene = KernelScene::new(arrays);
-        Ok(rays.par_iter().with_min_len(RAYS_A_TASK).map(|ray| closest_hit(&scene, ray, ray_mask)).collect())
+        let level = Level::new();
+        let packets = rays.par_chunks(LANES).with_min_len(PACKETS_A_TASK);
+        let hits = packets.map_init(Stack::default, |stack, rays| {
+            dispatch!(level, simd => ask_packet::<_, Closest>(simd, &scene, stack, rays, ray_mask))
+        });
+        let mut hits = bytemuck::cast_vec(hits.collect::<Vec<_>>().into_flattened());
+        hits.truncate(rays.len());
+        Ok(hits)
     }
 
     fn any_hits(&mut self, arrays: &DeviceArrays, rays: &[Ray], ray_mask: u32) -> Result<Vec<bool>> {
         let scene = KernelScene::new(arrays);
-        Ok(rays.par_iter().with_min_len(RAYS_A_TASK).map(|ray| any_hit(&scene, ray, ray_mask)).collect())
+        let level = Level::new();
+        let packets = rays.par_chunks(LANES).with_min_len(PACKETS_A_TASK);
+        let hits = packets.map_init(Stack::default, |stack, rays| {
+            dispatch!(level, simd => ask_packet::<_, Any>(simd, &scene, stack, rays, ray_mask)).map(|query| query.is_hit)
+        });
+        let mut hits = hits.collect::<Vec<_>>().into_flattened();
+        hits.truncate(rays.len());
+        Ok(hits)
     }
 }
 
