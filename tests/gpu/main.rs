@@ -5,6 +5,7 @@
 
 mod agreement;
 mod device;
+mod failures;
 mod frame;
 mod scene;
 mod soup;

@@ -23,8 +23,8 @@ use crate::{Error, Result};
 
 /// The kernel on a GPU.
 ///
-/// After [`Error::Gpu`] a tracer can be used on, unless its device is lost: then every call fails so, and a new tracer
-/// must be made. An image without pixels renders as such.
+/// After [`Error::OutOfMemory`] and [`Error::Gpu`] a tracer can be used on: what it could not make it tries to make anew.
+/// After [`Error::DeviceLost`] every call fails so, and a new tracer must be made. An image without pixels renders as such.
 #[derive(Debug)]
 pub struct GpuTracer {
     context: Context,
@@ -59,7 +59,7 @@ impl GpuTracer {
     ///
     /// # Errors
     /// [`Error::Limit`] names the first limit of the device that is too low; [`Error::NoGpu`] says that its driver
-    /// cuts long loops short; [`Error::Gpu`] that it failed.
+    /// cuts long loops short; [`Error::DeviceLost`], [`Error::OutOfMemory`] and [`Error::Gpu`] that it failed.
     pub fn from_device(device: wgpu::Device, queue: wgpu::Queue) -> Result<Self> {
         let context = Context::new(device, queue);
         adapter::check_limits(&context.limits)?;
@@ -172,6 +172,10 @@ impl Tracer for GpuTracer {
         Some(self.frame.as_ref()?.color())
     }
 
+    fn as_gpu(&mut self) -> Option<&mut GpuTracer> {
+        Some(self)
+    }
+
     fn trace_time(&self) -> Option<Duration> {
         self.frame.as_ref()?;
         self.timer.as_ref()?.read(&self.context).ok()
@@ -181,7 +185,11 @@ impl Tracer for GpuTracer {
         match (&self.frame, &self.empty) {
             (Some(frame), _) => Ok(frame.read(&self.context)?.into_image()),
             (None, Some(empty)) => Ok(empty.clone().into_image()),
-            (None, None) => Err(Error::Gpu { during: frame::READING, message: "the last one failed".into() }),
+            (None, None) => self.context.scoped(frame::READING, || {
+                // It may have failed because the device was lost, which this says.
+                self.context.submit(frame::READING, |_| {})?;
+                Err(Error::Gpu { during: frame::READING, message: "the last one failed".into() })
+            }),
         }
     }
 
