@@ -4,7 +4,7 @@ use bytemuck::Pod;
 use wgpu::BufferUsages;
 
 use super::context::Context;
-use super::scene::storage_entry;
+use super::scene::{largest_buffer, storage_entry};
 use crate::Result;
 use crate::device::layout::{Hit, Ray, RayBatch};
 
@@ -41,6 +41,11 @@ pub(super) fn layout(context: &Context) -> wgpu::BindGroupLayout {
     })
 }
 
+/// The most rays of one dispatch: rays and hits are of one size.
+fn most_rays(context: &Context) -> usize {
+    (largest_buffer(&context.limits) as usize / size_of::<Ray>()).clamp(1, RAYS_PER_DISPATCH)
+}
+
 /// The buffers of a batch, as large as the largest yet.
 #[derive(Debug)]
 pub(super) struct Batch {
@@ -54,9 +59,9 @@ pub(super) struct Batch {
 }
 
 impl Batch {
-    /// Room for `rays` rays, or for as many as one dispatch traces.
+    /// Room for `rays` rays, or for as many as one dispatch traces and a buffer holds.
     pub(super) fn new(context: &Context, layout: &wgpu::BindGroupLayout, rays: usize) -> Self {
-        let capacity = rays.next_power_of_two().min(RAYS_PER_DISPATCH);
+        let capacity = rays.next_power_of_two().min(most_rays(context));
         let buffer = |label, stride, usage| context.buffer(label, (capacity * stride) as u64, usage);
         let params =
             context.buffer("batch", size_of::<RayBatch>() as u64, BufferUsages::UNIFORM | BufferUsages::COPY_DST);
@@ -76,8 +81,8 @@ impl Batch {
     }
 
     /// Whether a batch of that many rays goes through without waiting more often than it must.
-    pub(super) fn serves(&self, rays: usize) -> bool {
-        rays.min(RAYS_PER_DISPATCH) <= self.capacity
+    pub(super) fn serves(&self, context: &Context, rays: usize) -> bool {
+        rays.min(most_rays(context)) <= self.capacity
     }
 
     /// Bytes of GPU memory that the buffers take.

@@ -1,6 +1,7 @@
 //! The kernel on a GPU, through wgpu: Vulkan, Metal, Direct3D 12 or OpenGL.
 
 mod adapter;
+mod array;
 mod batch;
 mod context;
 mod frame;

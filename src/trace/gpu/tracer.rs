@@ -17,7 +17,7 @@ use crate::device::DeviceArrays;
 use crate::device::layout::{Hit, Ray};
 use crate::image::Image;
 use crate::trace::planes::Planes;
-use crate::trace::shader::EntryPoint;
+use crate::trace::shader::{EntryPoint, Variant};
 use crate::trace::{DeviceInfo, FrameRequest, Tracer};
 use crate::{Error, Result};
 
@@ -30,8 +30,6 @@ pub struct GpuTracer {
     context: Context,
     scene: SceneBuffers,
     pipelines: Pipelines,
-    frame_layout: wgpu::BindGroupLayout,
-    batch_layout: wgpu::BindGroupLayout,
     timer: Option<Timer>,
     /// The last frame, where that has pixels and did not fail.
     frame: Option<Frame>,
@@ -70,17 +68,13 @@ impl GpuTracer {
     fn with_context(context: Context) -> Result<Self> {
         context
             .scoped("preparing the kernel", || {
-                let scene = SceneBuffers::new(&context);
-                let [frame_layout, batch_layout] = [frame::layout(&context), batch::layout(&context)];
-                let pipelines = Pipelines::new(&context, scene.layout(), &frame_layout, &batch_layout);
-                Ok((scene, pipelines, frame_layout, batch_layout, Timer::new(&context)))
+                let pipelines = Pipelines::new(frame::layout(&context), batch::layout(&context));
+                Ok((SceneBuffers::new(&context), pipelines, Timer::new(&context)))
             })
-            .map(|(scene, pipelines, frame_layout, batch_layout, timer)| Self {
+            .map(|(scene, pipelines, timer)| Self {
                 context,
                 scene,
                 pipelines,
-                frame_layout,
-                batch_layout,
                 timer,
                 frame: None,
                 empty: Some(Planes::default()),
@@ -116,16 +110,17 @@ impl GpuTracer {
     }
 
     fn answers<T: Pod>(&mut self, entry_point: EntryPoint, rays: &[Ray], ray_mask: u32) -> Result<Vec<T>> {
-        let Self { context, scene, pipelines, batch_layout, batch, .. } = self;
-        let scene = scene.bind_group().ok_or_else(not_uploaded)?;
+        let Self { context, scene, pipelines, batch, .. } = self;
+        let bound = scene.bind_group()?;
         if rays.is_empty() {
             return Ok(Vec::new());
         }
-        let (pipeline, _) = pipelines.pipeline(context, entry_point, BATCH_NEEDS)?;
-        let last = batch.take().filter(|batch| batch.serves(rays.len()));
+        let variant = Variant { needs: BATCH_NEEDS, splits: scene.splits() };
+        let (pipeline, _) = pipelines.pipeline(context, scene.layout(), entry_point, variant)?;
+        let last = batch.take().filter(|batch| batch.serves(context, rays.len()));
         let (used, answers) = context.scoped(batch::DURING, || {
-            let batch = last.unwrap_or_else(|| Batch::new(context, batch_layout, rays.len()));
-            let answers = batch.trace(context, &pipeline, scene, rays, ray_mask)?;
+            let batch = last.unwrap_or_else(|| Batch::new(context, pipelines.batch_layout(), rays.len()));
+            let answers = batch.trace(context, &pipeline, bound, rays, ray_mask)?;
             Ok((batch, answers))
         })?;
         *batch = Some(used);
@@ -146,8 +141,8 @@ impl Tracer for GpuTracer {
     }
 
     fn render(&mut self, _: &DeviceArrays, request: &FrameRequest) -> Result<()> {
-        let Self { context, scene, pipelines, frame_layout, timer, .. } = self;
-        let scene = scene.bind_group().ok_or_else(not_uploaded)?;
+        let Self { context, scene, pipelines, timer, .. } = self;
+        let bound = scene.bind_group()?;
         let size = [request.params.width, request.params.height];
         frame::check_size(size, &context.limits)?;
         if size.contains(&0) {
@@ -156,12 +151,13 @@ impl Tracer for GpuTracer {
             return Ok(());
         }
         let entry_point = if request.aovs { EntryPoint::RenderAovs } else { EntryPoint::Render };
-        let (pipeline, is_new) = pipelines.pipeline(context, entry_point, request.needs)?;
+        let variant = Variant { needs: request.needs, splits: scene.splits() };
+        let (pipeline, is_new) = pipelines.pipeline(context, scene.layout(), entry_point, variant)?;
         self.empty = None;
         let last = self.frame.take().filter(|frame| frame.serves(size, request.aovs));
         let frame = context.scoped(frame::TRACING, || {
-            let frame = last.unwrap_or_else(|| Frame::new(context, frame_layout, size, request.aovs));
-            frame.trace(context, &pipeline, is_new, scene, timer.as_ref(), request)?;
+            let frame = last.unwrap_or_else(|| Frame::new(context, pipelines.frame_layout(), size, request.aovs));
+            frame.trace(context, &pipeline, is_new, bound, timer.as_ref(), request)?;
             Ok(frame)
         })?;
         self.frame = Some(frame);
@@ -201,8 +197,4 @@ impl Tracer for GpuTracer {
         let answers: Vec<u32> = self.answers(EntryPoint::AnyHits, rays, ray_mask)?;
         Ok(answers.into_iter().map(|answer| answer != 0).collect())
     }
-}
-
-fn not_uploaded() -> Error {
-    Error::Gpu { during: "tracing", message: "no scene was uploaded".into() }
 }
