@@ -1,12 +1,14 @@
 //! The renderer: one call a frame.
 
 mod device;
+mod rays;
 mod report;
 mod view;
 
 use std::time::{Duration, Instant};
 
 pub use device::DeviceChoice;
+pub use rays::ClosestHits;
 pub use report::FrameReport;
 pub use view::{Sky, View};
 

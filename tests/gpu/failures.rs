@@ -3,7 +3,8 @@
 use glam::{DVec3, Vec3};
 use ropewalk::trace::gpu::{GpuTracer, required_limits};
 use ropewalk::{
-    Core, DeviceChoice, Error, Geometry, Light, Material, Renderer, RendererOptions, Scene, Transform, View, image::Image,
+    Core, DeviceChoice, Error, Geometry, Light, Material, Renderer, RendererOptions, Scene, Transform, View,
+    image::Image,
 };
 
 use crate::device::{adapter, device};

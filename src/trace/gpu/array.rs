@@ -78,7 +78,8 @@ impl ArrayBuffer {
             context.submit(DURING, |encoder| encoder.copy_buffer_to_buffer(&old.buffer, 0, &buffer, 0, kept))?;
             buffer
         };
-        let (small, large): (Vec<_>, Vec<_>) = join_near(dirty).into_iter().partition(|range| range.len() < SMALL_RANGE);
+        let (small, large): (Vec<_>, Vec<_>) =
+            join_near(dirty).into_iter().partition(|range| range.len() < SMALL_RANGE);
         for range in large {
             write(context, &buffer, bytes, range);
         }

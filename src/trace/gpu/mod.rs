@@ -12,4 +12,5 @@ mod timer;
 mod tracer;
 
 pub use adapter::{Adapters, GpuOptions, required_limits, wanted_features};
+pub use batch::RayBuffers;
 pub use tracer::GpuTracer;

@@ -7,7 +7,7 @@ use bytemuck::Pod;
 use super::array::{ArrayBuffer, Contents, Copied};
 use super::context::Context;
 use crate::device::{DeviceArrays, DeviceBuffer};
-use crate::trace::shader::{ARRAY_COUNT, Split, Splits};
+use crate::trace::shader::{ARRAY_COUNT, Include, Split, Splits};
 use crate::{Error, Result};
 
 /// What fails if an upload does.
@@ -36,7 +36,7 @@ impl SceneBuffers {
         Self {
             arrays: Default::default(),
             splits,
-            layout: layout(context, splits),
+            layout: layout(context, all_bindings(splits)),
             bind_group: None,
             bind_groups_made: 0,
         }
@@ -60,6 +60,41 @@ impl SceneBuffers {
         self.bind_group.as_ref().ok_or_else(missing)
     }
 
+    /// Where the scene is bound for an application's shader.
+    pub(super) fn include_layout(context: &Context, include: &Include) -> wgpu::BindGroupLayout {
+        layout(context, include.bindings().into_iter())
+    }
+
+    /// The scene for an application's shader.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] before the first upload, and where the arrays are bound as they were not when the shader was made.
+    pub(super) fn bind_include(&self, context: &Context, include: &Include) -> Result<wgpu::BindGroup> {
+        self.bind_group()?;
+        if include.variant.splits != self.splits {
+            let message = "the scene's arrays lie in other bindings now: make the shader anew".into();
+            return Err(Error::Gpu { during: "binding the scene", message });
+        }
+        let layout = Self::include_layout(context, include);
+        context.scoped("binding the scene", || Ok(self.bind(context, &layout, include.bindings().into_iter())))
+    }
+
+    /// Binds the arrays that have these numbers: each array's first part, then the other parts.
+    fn bind(
+        &self,
+        context: &Context,
+        layout: &wgpu::BindGroupLayout,
+        bindings: impl Iterator<Item = u32>,
+    ) -> wgpu::BindGroup {
+        let first = self.arrays.iter().filter_map(|parts| parts.first());
+        let others = self.arrays.iter().flat_map(|parts| parts.iter().skip(1));
+        let buffers: Vec<_> = first.chain(others).flatten().map(ArrayBuffer::buffer).collect();
+        let entries: Vec<_> = bindings
+            .map(|binding| wgpu::BindGroupEntry { binding, resource: buffers[binding as usize].as_entire_binding() })
+            .collect();
+        context.device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some("scene"), layout, entries: &entries })
+    }
+
     /// How often a buffer came or went, so that all had to be bound anew.
     pub(super) fn bind_groups_made(&self) -> u64 {
         self.bind_groups_made
@@ -77,7 +112,7 @@ impl SceneBuffers {
         let splits = plan(&sources, &context.limits)?;
         let outcome = context.scoped(DURING, || {
             if splits != self.splits {
-                self.layout = layout(context, splits);
+                self.layout = layout(context, all_bindings(splits));
                 self.splits = splits;
                 self.bind_group = None;
             }
@@ -90,7 +125,7 @@ impl SceneBuffers {
                 same &= copied.same_buffer;
             }
             if !same {
-                self.bind_group = Some(bind(context, &self.layout, &self.arrays));
+                self.bind_group = Some(self.bind(context, &self.layout, all_bindings(splits)));
                 self.bind_groups_made += 1;
             }
             if bytes > 0 {
@@ -124,12 +159,15 @@ pub(super) fn largest_buffer(limits: &wgpu::Limits) -> u64 {
     limits.max_buffer_size.min(limits.max_storage_buffer_binding_size)
 }
 
-/// Where the arrays are bound: each, then the parts of those that are split.
-fn layout(context: &Context, splits: Splits) -> wgpu::BindGroupLayout {
-    let count = ARRAY_COUNT + splits.more_bindings();
-    let entries: Vec<_> = (0..count).map(|binding| storage_entry(binding, true)).collect();
+/// Where arrays are bound, by number: each, then the parts of those that are split.
+fn layout(context: &Context, bindings: impl Iterator<Item = u32>) -> wgpu::BindGroupLayout {
+    let entries: Vec<_> = bindings.map(|binding| storage_entry(binding, true)).collect();
     let descriptor = wgpu::BindGroupLayoutDescriptor { label: Some("scene"), entries: &entries };
     context.device.create_bind_group_layout(&descriptor)
+}
+
+fn all_bindings(splits: Splits) -> std::ops::Range<u32> {
+    0..ARRAY_COUNT + splits.more_bindings()
 }
 
 /// How the arrays must be split to fit the device.
@@ -190,21 +228,6 @@ fn upload_array(
         all = Copied { bytes: all.bytes + copied.bytes, same_buffer: all.same_buffer && copied.same_buffer };
     }
     Ok(all)
-}
-
-/// Binds each array's first part, then the other parts.
-fn bind(
-    context: &Context,
-    layout: &wgpu::BindGroupLayout,
-    arrays: &[Vec<Option<ArrayBuffer>>; ARRAY_COUNT as usize],
-) -> wgpu::BindGroup {
-    let first = arrays.iter().filter_map(|parts| parts.first());
-    let others = arrays.iter().flat_map(|parts| parts.iter().skip(1));
-    let entries: Vec<_> = (0..)
-        .zip(first.chain(others).flatten())
-        .map(|(binding, part)| wgpu::BindGroupEntry { binding, resource: part.buffer().as_entire_binding() })
-        .collect();
-    context.device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some("scene"), layout, entries: &entries })
 }
 
 /// An array to copy from.

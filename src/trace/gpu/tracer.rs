@@ -5,7 +5,7 @@ use std::time::Duration;
 use bytemuck::Pod;
 
 use super::adapter::{self, GpuOptions};
-use super::batch::{self, Batch};
+use super::batch::{self, Batch, RayBuffers};
 use super::context::Context;
 use super::frame::{self, Frame};
 use super::pipelines::Pipelines;
@@ -17,7 +17,7 @@ use crate::device::DeviceArrays;
 use crate::device::layout::{Hit, Ray};
 use crate::image::Image;
 use crate::trace::planes::Planes;
-use crate::trace::shader::{EntryPoint, Variant};
+use crate::trace::shader::{EntryPoint, Include, Variant};
 use crate::trace::{DeviceInfo, FrameRequest, Tracer};
 use crate::{Error, Result};
 
@@ -92,6 +92,46 @@ impl GpuTracer {
         &self.context.queue
     }
 
+    /// Records into `encoder` that the closest [`Hit`] of each ray is found: rays and hits stay on the GPU. The scene is that of
+    /// the last upload; other passes of the encoder may write the rays and read the hits. A batch of very many rays may take
+    /// longer than a driver lets one submission run (seconds): spread those over several.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] if the buffers are too small for their count or larger than a binding of the device;
+    /// [`Error::OutOfRange`] if one is no storage buffer; [`Error::Gpu`] if no scene was uploaded.
+    pub fn record_closest_hits(&mut self, encoder: &mut wgpu::CommandEncoder, rays: &RayBuffers<'_>) -> Result<()> {
+        self.record(EntryPoint::ClosestHits, size_of::<Hit>(), encoder, rays)
+    }
+
+    /// As [`record_closest_hits`](Self::record_closest_hits), but each answer is a `u32`: 1 if anything lets no light through, else
+    /// 0.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn record_any_hits(&mut self, encoder: &mut wgpu::CommandEncoder, rays: &RayBuffers<'_>) -> Result<()> {
+        self.record(EntryPoint::AnyHits, size_of::<u32>(), encoder, rays)
+    }
+
+    /// The text with which a compute shader of the application's traces rays through the scene that was uploaded. `needs` are what
+    /// the scene [was compiled to need](crate::compile::CompileReport::needs); more only costs. While the include stays equal,
+    /// pipelines made from it serve.
+    pub fn include(&self, group: u32, needs: Needs, surfaces: bool) -> Include {
+        Include { group, surfaces, variant: Variant { needs, splits: self.scene.splits() } }
+    }
+
+    /// The layout of the include's bind group, for the pipeline.
+    pub fn include_layout(&self, include: &Include) -> wgpu::BindGroupLayout {
+        SceneBuffers::include_layout(&self.context, include)
+    }
+
+    /// The include's bind group. It holds the buffers that there are: make it anew after each upload, in microseconds.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] if no scene was uploaded, or its arrays are bound otherwise than when the include was made.
+    pub fn include_bind_group(&self, include: &Include) -> Result<wgpu::BindGroup> {
+        self.scene.bind_include(&self.context, include)
+    }
+
     /// Bytes of GPU memory held for the scene, the last frame and batches.
     pub fn memory(&self) -> u64 {
         self.scene.bytes() + self.frame.as_ref().map_or(0, Frame::bytes) + self.batch.as_ref().map_or(0, Batch::bytes)
@@ -107,6 +147,27 @@ impl GpuTracer {
     #[doc(hidden)]
     pub fn pipelines_made(&self) -> usize {
         self.pipelines.len()
+    }
+
+    fn record(
+        &mut self,
+        entry_point: EntryPoint,
+        answer_size: usize,
+        encoder: &mut wgpu::CommandEncoder,
+        rays: &RayBuffers<'_>,
+    ) -> Result<()> {
+        let Self { context, scene, pipelines, .. } = self;
+        let bound = scene.bind_group()?;
+        rays.check(&context.limits, answer_size)?;
+        if rays.count == 0 {
+            return Ok(());
+        }
+        let variant = Variant { needs: BATCH_NEEDS, splits: scene.splits() };
+        let (pipeline, _) = pipelines.pipeline(context, scene.layout(), entry_point, variant)?;
+        context.scoped(batch::DURING, || {
+            rays.record(context, pipelines.batch_layout(), encoder, &pipeline, bound, answer_size);
+            Ok(())
+        })
     }
 
     fn answers<T: Pod>(&mut self, entry_point: EntryPoint, rays: &[Ray], ray_mask: u32) -> Result<Vec<T>> {

@@ -1,9 +1,11 @@
 //! Assembly of WGSL: what the scene needs, the shared files, one entry point.
 
+mod include;
 mod splits;
 
 use std::fmt::Write as _;
 
+pub use include::Include;
 pub(crate) use splits::ARRAY_COUNT;
 pub use splits::{Split, Splits};
 
@@ -52,21 +54,28 @@ impl Variant {
     }
 }
 
-/// Files of every kernel: traversal, and what it asks of materials.
-const SHARED: [&str; 6] = [
+/// Files of every kernel: the scene, and how rays go through it.
+const SCENE: [&str; 4] = [
     include_str!("../../../shaders/shared/types.wgsl"),
     include_str!("../../../shaders/shared/math.wgsl"),
     include_str!("../../../shaders/shared/intersect.wgsl"),
     include_str!("../../../shaders/shared/traverse.wgsl"),
-    include_str!("../../../shaders/shared/texture.wgsl"),
-    include_str!("../../../shaders/shared/material.wgsl"),
 ];
 
+/// What traversal asks of materials, where not everything is opaque.
+const MATERIALS: [&str; 2] =
+    [include_str!("../../../shaders/shared/texture.wgsl"), include_str!("../../../shaders/shared/material.wgsl")];
+
+/// What stands in for that where everything is.
+const OPAQUE: [&str; 1] = [include_str!("../../../shaders/shared/opaque.wgsl")];
+
+/// What lies at a hit.
+const SURFACES: [&str; 2] =
+    [include_str!("../../../shaders/shared/surface.wgsl"), include_str!("../../../shaders/shared/offset.wgsl")];
+
 /// Files of the kernels that render.
-const SHADING: [&str; 7] = [
+const SHADING: [&str; 5] = [
     include_str!("../../../shaders/shared/camera.wgsl"),
-    include_str!("../../../shaders/shared/surface.wgsl"),
-    include_str!("../../../shaders/shared/offset.wgsl"),
     include_str!("../../../shaders/shared/sky.wgsl"),
     include_str!("../../../shaders/shared/brdf.wgsl"),
     include_str!("../../../shaders/shared/light.wgsl"),
@@ -89,16 +98,12 @@ impl EntryPoint {
 
     /// The module's source, of a kernel that can do what its variant says.
     pub fn source(self, variant: impl Into<Variant>) -> String {
-        let mut source = variant.into().preamble();
         let shading = match self {
-            Self::Render | Self::RenderAovs => &SHADING[..],
-            Self::ClosestHits | Self::AnyHits => &[],
+            Self::Render | Self::RenderAovs => [&SURFACES[..], &SHADING[..]].concat(),
+            Self::ClosestHits | Self::AnyHits => Vec::new(),
         };
-        for file in SHARED.iter().chain(shading) {
-            source.push_str(file);
-        }
-        source.push_str(self.file());
-        source
+        let files = [&SCENE[..], &MATERIALS[..], &shading, &[self.file()]].concat();
+        variant.into().preamble() + &files.concat()
     }
 
     fn file(self) -> &'static str {

@@ -59,9 +59,10 @@ impl Splits {
     pub(super) fn source(&self) -> String {
         let mut source = String::new();
         let mut binding = ARRAY_COUNT;
-        for (split, array, element, accessor) in
-            [(self.blas_nodes, "blas_nodes", "Node", "blas_node_at"), (self.triangles, "triangles", "Triangle", "triangle_at")]
-        {
+        for (split, array, element, accessor) in [
+            (self.blas_nodes, "blas_nodes", "Node", "blas_node_at"),
+            (self.triangles, "triangles", "Triangle", "triangle_at"),
+        ] {
             // Writing to a string cannot fail.
             let _ = split.declare(&mut source, &mut binding, [array, element, accessor]);
         }
@@ -120,7 +121,10 @@ mod tests {
         assert!(source.contains("return triangles[i];") && !source.contains("switch"), "{source}");
         let split = Splits { triangles: Split::new(40, 10), ..Splits::default() };
         let source = split.source();
-        assert!(source.contains("@binding(17) var<storage, read> triangles_4") && source.contains("i >> 3u"), "{source}");
+        assert!(
+            source.contains("@binding(17) var<storage, read> triangles_4") && source.contains("i >> 3u"),
+            "{source}"
+        );
         assert_eq!(split.more_bindings(), 4);
     }
 }
