@@ -43,7 +43,8 @@ struct Streams {
     first_tex_coord_0: u32,
     first_tex_coord_1: u32,
     first_color: u32,
-    _pad: array<u32, 3>,
+    first_wide_node: u32,
+    _pad: array<u32, 2>,
 }
 
 struct Material {

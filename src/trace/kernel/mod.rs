@@ -14,14 +14,17 @@ mod traverse;
 mod whitted;
 
 pub(crate) use camera::camera_ray;
+pub(crate) use intersect::{
+    BOX_SLACK, CORNER_TOLERANCE, EDGE_TOLERANCE, ShearRay, SlabRay, max_component, meets_box, shear_ray, slab_ray,
+};
 pub(crate) use material::is_hole;
-pub(crate) use traverse::{any_hit, closest_hit, transmittance};
+pub(crate) use traverse::{any_hit, closest_hit, is_closer, passes_at, transmittance};
 #[cfg(feature = "gpu")]
 pub(crate) use whitted::most_rays;
 pub(crate) use whitted::{MAX_DEPTH, Pixel, render_pixel};
 
 use crate::device::DeviceArrays;
-use crate::device::layout::{Instance, Light, Material, Node, Streams, TextureInfo, Triangle};
+use crate::device::layout::{Instance, Light, Material, Node, Streams, TextureInfo, Triangle, WideNode};
 
 /// The device arrays as the kernel reads them: the bindings of `types.wgsl`.
 #[derive(Clone, Copy)]
@@ -29,6 +32,7 @@ pub(crate) struct KernelScene<'a> {
     pub tlas_nodes: &'a [Node],
     pub instances: &'a [Instance],
     pub blas_nodes: &'a [Node],
+    pub wide_nodes: &'a [WideNode],
     pub triangles: &'a [Triangle],
     pub geometries: &'a [Streams],
     pub indices: &'a [u32],
@@ -47,6 +51,7 @@ impl<'a> KernelScene<'a> {
             tlas_nodes: &arrays.tlas_nodes,
             instances: &arrays.instances,
             blas_nodes: &arrays.blas_nodes,
+            wide_nodes: &arrays.wide_nodes,
             triangles: &arrays.triangles,
             geometries: &arrays.geometries,
             indices: &arrays.indices,

@@ -11,7 +11,7 @@ use super::KernelScene;
 use super::intersect::{Crossing, ShearRay, SlabRay, cross_triangle, max_component, meets_box, shear_ray, slab_ray};
 use super::material::{is_hole, passes};
 use super::math::{max, transform_point, transform_vector};
-use crate::device::layout::{Hit, InstanceFlags, NONE, PrimitiveRange, Ray, Triangle};
+use crate::device::layout::{Hit, Instance, InstanceFlags, NONE, PrimitiveRange, Ray, Triangle};
 
 /// Where a ray is on its way through the two levels.
 struct Traversal {
@@ -153,7 +153,7 @@ pub(crate) fn closest_hit(scene: &KernelScene<'_>, ray: &Ray, ray_mask: u32) -> 
     if hit.instance == NONE { Hit::MISS } else { hit }
 }
 
-fn is_closer(t: f32, instance: u32, primitive: u32, hit: &Hit) -> bool {
+pub(crate) fn is_closer(t: f32, instance: u32, primitive: u32, hit: &Hit) -> bool {
     if t != hit.t {
         return t < hit.t;
     }
@@ -198,10 +198,15 @@ pub(crate) fn any_hit(scene: &KernelScene<'_>, ray: &Ray, ray_mask: u32) -> bool
 }
 
 fn passes_crossing(scene: &KernelScene<'_>, traversal: &Traversal, triangle: &Triangle, crossing: &Crossing) -> Vec3 {
-    if !InstanceFlags::from_bits_retain(traversal.flags).contains(InstanceFlags::TRANSLUCENT) {
+    passes_at(scene, &scene.instances[traversal.instance as usize], triangle, crossing.u, crossing.v)
+}
+
+/// How much light a triangle lets through at a point.
+pub(crate) fn passes_at(scene: &KernelScene<'_>, instance: &Instance, triangle: &Triangle, u: f32, v: f32) -> Vec3 {
+    if !InstanceFlags::from_bits_retain(instance.flags).contains(InstanceFlags::TRANSLUCENT) {
         return Vec3::ZERO;
     }
-    passes(scene, &scene.instances[traversal.instance as usize], triangle, crossing.u, crossing.v)
+    passes(scene, instance, triangle, u, v)
 }
 
 #[cfg(test)]
