@@ -5,38 +5,17 @@
 mod kernel_support;
 
 use glam::{DAffine3, DQuat, DVec3, Vec3};
-use kernel_support::{Builder, Mesh, Placed, Random, arrays_by};
+use kernel_support::{Builder, Mesh, Placed, Random, arrays_by, tracers};
 use ropewalk::device::DeviceArrays;
 use ropewalk::device::layout::{InstanceFlags, NONE, Node, PrimitiveRange, Ray};
-use ropewalk::trace::{Counts, Emulated, Layout, Tracer};
+use ropewalk::trace::{Counts, Emulated, Layout};
 
-/// Everything that walks, the paper's way first.
-fn walkers() -> Vec<Box<dyn Tracer>> {
-    let emulated = [Layout::Rope, Layout::Wide]
-        .map(|layout| -> Box<dyn Tracer> { Box::new(Emulated::default().with_layout(layout)) });
-    emulated.into_iter().chain(on_gpu()).collect()
-}
-
-#[cfg(feature = "gpu")]
-fn on_gpu() -> Vec<Box<dyn Tracer>> {
-    let layouts = [Layout::Rope, Layout::Wide];
-    layouts
-        .into_iter()
-        .filter_map(|layout| Some(Box::new(kernel_support::gpu::tracer()?.with_layout(layout)) as Box<dyn Tracer>))
-        .collect()
-}
-
-#[cfg(not(feature = "gpu"))]
-fn on_gpu() -> Vec<Box<dyn Tracer>> {
-    Vec::new()
-}
-
-/// All walkers agree on these rays.
+/// All executors and layouts agree on these rays.
 fn agree(arrays: &mut DeviceArrays, rays: &[Ray], ray_mask: u32) {
-    let mut walkers = walkers();
-    let mut answers = walkers.iter_mut().map(|walker| {
-        walker.upload(arrays).unwrap();
-        (walker.closest_hits(arrays, rays, ray_mask).unwrap(), walker.any_hits(arrays, rays, ray_mask).unwrap())
+    let mut tracers = tracers();
+    let mut answers = tracers.iter_mut().map(|tracer| {
+        tracer.upload(arrays).unwrap();
+        (tracer.closest_hits(arrays, rays, ray_mask).unwrap(), tracer.any_hits(arrays, rays, ray_mask).unwrap())
     });
     let expected = answers.next().unwrap();
     let hits = expected.0.iter().filter(|hit| hit.instance != NONE).count();
@@ -45,7 +24,7 @@ fn agree(arrays: &mut DeviceArrays, rays: &[Ray], ray_mask: u32) {
         let first = (0..rays.len()).find(|&r| (found.0[r], found.1[r]) != (expected.0[r], expected.1[r]));
         assert!(
             first.is_none(),
-            "walker {}: {:?} is {:?}, not {:?}",
+            "tracer {}: {:?} is {:?}, not {:?}",
             i + 1,
             rays[first.unwrap()],
             found.0[first.unwrap()],
@@ -86,7 +65,7 @@ fn fields_of_instances() {
     for instances in [1, 2, 40, 400] {
         let placed = placed(&mut random, meshes.len(), instances);
         let mut arrays = arrays_by(Builder::Product, &meshes, &placed);
-        let rays = rays(&mut random, 4.0, 20_000);
+        let rays = rays(&mut random, 4.0, 6_000);
         let rays = if instances < 3 { aimed(&mut random, &placed, rays) } else { rays };
         agree(&mut arrays, &rays, u32::MAX);
         if instances > 2 {
@@ -111,7 +90,7 @@ fn meshes_of_all_sizes() {
     for size in [1e-9, 1.0, 1e9] {
         let mesh = Mesh::displaced_icosphere(5).scaled(size);
         let mut arrays = arrays_by(Builder::Product, &[mesh], &[Placed::new(0, DAffine3::IDENTITY)]);
-        agree(&mut arrays, &rays(&mut random, size * 1.5, 20_000), 1);
+        agree(&mut arrays, &rays(&mut random, size * 1.5, 6_000), 1);
     }
 }
 
