@@ -127,7 +127,8 @@ impl Tree<'_> {
 
 /// Gives each child the slot whose corner it is nearest to, the most decided first.
 fn assign_slots(nodes: &[Node], opened: &[usize]) -> [Option<usize>; WIDTH] {
-    let centers = opened.iter().map(|&child| Vec3::from_array(nodes[child].min) * 0.5 + Vec3::from_array(nodes[child].max) * 0.5);
+    let centers =
+        opened.iter().map(|&child| Vec3::from_array(nodes[child].min) * 0.5 + Vec3::from_array(nodes[child].max) * 0.5);
     let mut places = [Vec3::ZERO; WIDTH];
     let mut mean = Vec3::ZERO;
     for (place, center) in places.iter_mut().zip(centers) {

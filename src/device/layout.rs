@@ -23,7 +23,7 @@ pub struct Node {
 
 impl Node {
     /// No box of a node in use has a corner this far out: [`f32::MAX`] less one ulp.
-    const UNUSED: f32 = f32::from_bits(f32::MAX.to_bits() - 1);
+    pub(crate) const UNUSED: f32 = f32::from_bits(f32::MAX.to_bits() - 1);
 
     /// A leaf of the top level that holds nothing: an inner node without children, so that traversal goes on with the next
     /// node whether it meets the box or not. The box lies where no ray comes by. It must not be the last of an array. An inner
@@ -385,6 +385,8 @@ pub struct RayBatch {
     pub count: u32,
     /// Instances whose mask shares no bit with this are not hit.
     pub ray_mask: u32,
+    /// The first of them.
+    pub first: u32,
     /// Zero.
-    pub _pad: [u32; 2],
+    pub _pad: u32,
 }

@@ -64,7 +64,11 @@ pub(super) fn cross<S: Simd, V: SimdFloat<S, Element = f32>>(
     // 2. Outside of an edge by more than that?
     let w = [x[2] * y[1] - y[2] * x[1], x[0] * y[2] - y[0] * x[2], x[1] * y[0] - y[1] * x[0]];
     let back = ((w[0] + w[1]) + w[2]).simd_lt(zero);
-    let w = each(w, #[inline(always)] |w| back.select(-w, w));
+    let w = each(
+        w,
+        #[inline(always)]
+        |w| back.select(-w, w),
+    );
     let w_least = least(w);
     let tolerance = (depth * (x_extent + y_extent) + x_extent * y_extent * 4.0) * EDGE_TOLERANCE;
     let outside = w_least.simd_lt(-tolerance);
@@ -73,7 +77,23 @@ pub(super) fn cross<S: Simd, V: SimdFloat<S, Element = f32>>(
         return None;
     }
     if (crossed & w_least.simd_lt(zero)).any_true() {
-        let (x, y, z) = (others(each(x, #[inline(always)] |x| x.abs())), others(each(y, #[inline(always)] |y| y.abs())), others(each(t, #[inline(always)] |t| t.abs())));
+        let (x, y, z) = (
+            others(each(
+                x,
+                #[inline(always)]
+                |x| x.abs(),
+            )),
+            others(each(
+                y,
+                #[inline(always)]
+                |y| y.abs(),
+            )),
+            others(each(
+                t,
+                #[inline(always)]
+                |t| t.abs(),
+            )),
+        );
         for i in 0..3 {
             let tolerance = (z[i] * depth_scale * (x[i] + y[i]) + x[i] * y[i] * 4.0) * EDGE_TOLERANCE;
             crossed = crossed & !((w[i] + tolerance).simd_lt(zero));
@@ -81,11 +101,19 @@ pub(super) fn cross<S: Simd, V: SimdFloat<S, Element = f32>>(
     }
 
     // 3. The point, inside the triangle whatever was rounded.
-    let w = each(w, #[inline(always)] |w| w.max(zero));
+    let w = each(
+        w,
+        #[inline(always)]
+        |w| w.max(zero),
+    );
     let area = (w[0] + w[1]) + w[2];
     crossed = crossed & !area.simd_lt(V::splat(simd, f32::MIN_POSITIVE));
     let scale = V::splat(simd, 1.0) / area;
-    let w = each(w, #[inline(always)] |w| w * scale);
+    let w = each(
+        w,
+        #[inline(always)]
+        |w| w * scale,
+    );
     let t = ((w[0] * t[0] + w[1] * t[1]) + w[2] * t[2]).max(t_least).min(t_greatest);
     Some((crossed.to_bitmask(), Crossings { t, u: w[1], v: w[2], back: back.to_bitmask() }))
 }
@@ -132,10 +160,20 @@ pub(super) struct Axes {
 #[inline(always)]
 pub(super) fn corners<S: Simd>(simd: S, triangles: &[Triangle; 4], axes: Axes) -> [[f32x4<S>; 3]; 3] {
     let words: &[[f32; 12]; 4] = bytemuck::cast_ref(triangles);
-    each([0, 4, 8], #[inline(always)] |corner: usize| each(axes.order, #[inline(always)] |axis: usize| {
-        let word = (corner + axis) % 12;
-        [words[0][word], words[1][word], words[2][word], words[3][word]].simd_into(simd)
-    }))
+    each(
+        [0, 4, 8],
+        #[inline(always)]
+        |corner: usize| {
+            each(
+                axes.order,
+                #[inline(always)]
+                |axis: usize| {
+                    let word = (corner + axis) % 12;
+                    [words[0][word], words[1][word], words[2][word], words[3][word]].simd_into(simd)
+                },
+            )
+        },
+    )
 }
 
 /// The length of a step of a node's grid.

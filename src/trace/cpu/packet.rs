@@ -29,7 +29,8 @@ pub(super) struct Packet<S: Simd> {
 /// Of pairs of vectors the even elements, then the odd ones.
 #[inline(always)]
 fn deinterleaved<S: Simd>(v: [f32x16<S>; 8]) -> [f32x16<S>; 8] {
-    let (a, b, c, d) = (v[0].deinterleave(v[1]), v[2].deinterleave(v[3]), v[4].deinterleave(v[5]), v[6].deinterleave(v[7]));
+    let (a, b, c, d) =
+        (v[0].deinterleave(v[1]), v[2].deinterleave(v[3]), v[4].deinterleave(v[5]), v[6].deinterleave(v[7]));
     [a.0, b.0, c.0, d.0, a.1, b.1, c.1, d.1]
 }
 
@@ -50,8 +51,14 @@ impl<S: Simd> Packet<S> {
         // Three times the even elements and the odd ones: then each vector holds one number of all rays.
         let words: &[[f32; LANES]; 8] = bytemuck::cast_ref(rays);
         let v: [f32x16<S>; 8] = [
-            load(simd, words[0]), load(simd, words[1]), load(simd, words[2]), load(simd, words[3]),
-            load(simd, words[4]), load(simd, words[5]), load(simd, words[6]), load(simd, words[7]),
+            load(simd, words[0]),
+            load(simd, words[1]),
+            load(simd, words[2]),
+            load(simd, words[3]),
+            load(simd, words[4]),
+            load(simd, words[5]),
+            load(simd, words[6]),
+            load(simd, words[7]),
         ];
         let v = deinterleaved(deinterleaved(deinterleaved(v)));
         Self { origins: [v[0], v[1], v[2]], t_min: v[3], directions: [v[4], v[5], v[6]], t_max: v[7] }
@@ -75,23 +82,35 @@ impl<S: Simd> Packet<S> {
 /// As [`slab_ray`](crate::trace::kernel::slab_ray).
 #[inline(always)]
 fn reciprocals<S: Simd>(simd: S, directions: [f32x16<S>; 3]) -> [f32x16<S>; 3] {
-    let lengths = each(directions, #[inline(always)] |d| d.abs());
+    let lengths = each(
+        directions,
+        #[inline(always)]
+        |d| d.abs(),
+    );
     let least = (lengths[0].max(lengths[1]).max(lengths[2]) * LEAST_SHARE).max(LEAST_COMPONENT);
-    each([0, 1, 2], #[inline(always)] |axis: usize| {
-        let reciprocal = f32x16::splat(simd, 1.0) / lengths[axis].max(least);
-        directions[axis].simd_lt(0.0).select(-reciprocal, reciprocal)
-    })
+    each(
+        [0, 1, 2],
+        #[inline(always)]
+        |axis: usize| {
+            let reciprocal = f32x16::splat(simd, 1.0) / lengths[axis].max(least);
+            directions[axis].simd_lt(0.0).select(-reciprocal, reciprocal)
+        },
+    )
 }
 
 impl<S: Simd> Slabs<S> {
     /// Where the rays enter a box and leave it.
     #[inline(always)]
     pub(super) fn meet(&self, simd: S, min: [f32; 3], max: [f32; 3], t_max: &Numbers) -> (f32x16<S>, f32x16<S>) {
-        let t = each([0, 1, 2], #[inline(always)] |axis: usize| {
-            let a = (f32x16::splat(simd, min[axis]) - self.origins[axis]) * self.reciprocals[axis];
-            let b = (f32x16::splat(simd, max[axis]) - self.origins[axis]) * self.reciprocals[axis];
-            (a.min(b), a.max(b))
-        });
+        let t = each(
+            [0, 1, 2],
+            #[inline(always)]
+            |axis: usize| {
+                let a = (f32x16::splat(simd, min[axis]) - self.origins[axis]) * self.reciprocals[axis];
+                let b = (f32x16::splat(simd, max[axis]) - self.origins[axis]) * self.reciprocals[axis];
+                (a.min(b), a.max(b))
+            },
+        );
         let t_max: f32x16<S> = (*t_max).simd_into(simd);
         (t[0].0.max(t[1].0).max(t[2].0.max(self.t_min)), t[0].1.min(t[1].1).min(t[2].1.min(t_max)))
     }
@@ -121,19 +140,60 @@ pub(super) struct LocalPacket<S: Simd> {
 impl<S: Simd> LocalPacket<S> {
     /// `None` if the rays do not go into one octant, or not most along one axis.
     #[inline(always)]
-    pub(super) fn new(simd: S, scene: &KernelScene<'_>, instance: &Instance, packet: &Packet<S>) -> Option<(u32, Self)> {
+    pub(super) fn new(
+        simd: S,
+        scene: &KernelScene<'_>,
+        instance: &Instance,
+        packet: &Packet<S>,
+    ) -> Option<(u32, Self)> {
         let first = scene.geometries[instance.geometry as usize].first_wide_node;
         let root = &scene.wide_nodes[first as usize];
         let [o, d] = [packet.origins, packet.directions];
         let rows = &instance.local_from_world;
-        let origins = each(*rows, #[inline(always)] |[x, y, z, w]| (o[0] * x + o[1] * y) + o[2] * z + w);
-        let directions = each(*rows, #[inline(always)] |[x, y, z, _]| (d[0] * x + d[1] * y) + d[2] * z);
+        let origins = each(
+            *rows,
+            #[inline(always)]
+            |[x, y, z, w]| (o[0] * x + o[1] * y) + o[2] * z + w,
+        );
+        let directions = each(
+            *rows,
+            #[inline(always)]
+            |[x, y, z, _]| (d[0] * x + d[1] * y) + d[2] * z,
+        );
 
         // 1. The way they all go.
-        let least = each(directions, #[inline(always)] |d| reduce(d, #[inline(always)] |a, b| a.min(b)));
-        let greatest = each(directions, #[inline(always)] |d| reduce(d, #[inline(always)] |a, b| a.max(b)));
-        let negative = each([0, 1, 2], #[inline(always)] |axis: usize| greatest[axis] < 0.0);
-        let lengths = each(directions, #[inline(always)] |d| d.abs());
+        let least = each(
+            directions,
+            #[inline(always)]
+            |d| {
+                reduce(
+                    d,
+                    #[inline(always)]
+                    |a, b| a.min(b),
+                )
+            },
+        );
+        let greatest = each(
+            directions,
+            #[inline(always)]
+            |d| {
+                reduce(
+                    d,
+                    #[inline(always)]
+                    |a, b| a.max(b),
+                )
+            },
+        );
+        let negative = each(
+            [0, 1, 2],
+            #[inline(always)]
+            |axis: usize| greatest[axis] < 0.0,
+        );
+        let lengths = each(
+            directions,
+            #[inline(always)]
+            |d| d.abs(),
+        );
         let [x, y, z] = lengths;
         let x_most = (x.simd_ge(y) & x.simd_ge(z)).to_bitmask();
         let y_most = y.simd_ge(z).to_bitmask();
@@ -143,20 +203,67 @@ impl<S: Simd> LocalPacket<S> {
             (0, 0) => 2,
             _ => return None,
         };
-        if (0..3).any(#[inline(always)] |axis| !negative[axis] && !(least[axis] >= 0.0)) {
+        if (0..3).any(
+            #[inline(always)]
+            |axis| !negative[axis] && !(least[axis] >= 0.0),
+        ) {
             return None;
         }
 
         // 2. What boxes need.
         let reciprocals = reciprocals(simd, directions);
-        let least_origins = each(origins, #[inline(always)] |o| reduce(o, #[inline(always)] |a, b| a.min(b)));
-        let greatest_origins = each(origins, #[inline(always)] |o| reduce(o, #[inline(always)] |a, b| a.max(b)));
-        let least_reciprocals = each(reciprocals, #[inline(always)] |r| reduce(r, #[inline(always)] |a, b| a.min(b)));
-        let greatest_reciprocals = each(reciprocals, #[inline(always)] |r| reduce(r, #[inline(always)] |a, b| a.max(b)));
-        let outer_origins = each([0, 1, 2], #[inline(always)] |axis: usize| {
-            let (least, greatest) = (least_origins[axis], greatest_origins[axis]);
-            if negative[axis] { pair(simd, least, greatest) } else { pair(simd, greatest, least) }
-        });
+        let least_origins = each(
+            origins,
+            #[inline(always)]
+            |o| {
+                reduce(
+                    o,
+                    #[inline(always)]
+                    |a, b| a.min(b),
+                )
+            },
+        );
+        let greatest_origins = each(
+            origins,
+            #[inline(always)]
+            |o| {
+                reduce(
+                    o,
+                    #[inline(always)]
+                    |a, b| a.max(b),
+                )
+            },
+        );
+        let least_reciprocals = each(
+            reciprocals,
+            #[inline(always)]
+            |r| {
+                reduce(
+                    r,
+                    #[inline(always)]
+                    |a, b| a.min(b),
+                )
+            },
+        );
+        let greatest_reciprocals = each(
+            reciprocals,
+            #[inline(always)]
+            |r| {
+                reduce(
+                    r,
+                    #[inline(always)]
+                    |a, b| a.max(b),
+                )
+            },
+        );
+        let outer_origins = each(
+            [0, 1, 2],
+            #[inline(always)]
+            |axis: usize| {
+                let (least, greatest) = (least_origins[axis], greatest_origins[axis]);
+                if negative[axis] { pair(simd, least, greatest) } else { pair(simd, greatest, least) }
+            },
+        );
         let t_min = packet.t_min;
 
         // 3. What triangles need.
@@ -173,11 +280,23 @@ impl<S: Simd> LocalPacket<S> {
             t_min,
             outer_origins,
             outer_scales: [scales(simd, least_reciprocals), scales(simd, greatest_reciprocals)],
-            near: each(negative, #[inline(always)] |negative| usize::from(negative)),
+            near: each(
+                negative,
+                #[inline(always)]
+                |negative| usize::from(negative),
+            ),
             octant: usize::from(negative[0]) | usize::from(negative[1]) << 1 | usize::from(negative[2]) << 2,
-            least_t_min: reduce(t_min, #[inline(always)] |a, b| a.min(b)),
+            least_t_min: reduce(
+                t_min,
+                #[inline(always)]
+                |a, b| a.min(b),
+            ),
             axes: Axes { order },
-            ordered_origins: each(order, #[inline(always)] |axis: usize| origins[axis % 3]),
+            ordered_origins: each(
+                order,
+                #[inline(always)]
+                |axis: usize| origins[axis % 3],
+            ),
             scale,
             slopes: [-directions[order[0]] / depth * scale, -directions[order[1]] / depth * scale],
             t_scale: f32x16::splat(simd, 1.0) / depth,
@@ -190,7 +309,11 @@ impl<S: Simd> LocalPacket<S> {
 /// What near and far planes are multiplied by.
 #[inline(always)]
 fn scales<S: Simd>(simd: S, reciprocals: [f32; 3]) -> [f32x16<S>; 3] {
-    each(reciprocals, #[inline(always)] |r| pair(simd, r * BOX_SLACK, -r))
+    each(
+        reciprocals,
+        #[inline(always)]
+        |r| pair(simd, r * BOX_SLACK, -r),
+    )
 }
 
 /// Folds all lanes into one.
@@ -268,18 +391,26 @@ pub(super) fn walk_packet<S: Simd>(
 
 #[inline(always)]
 fn greatest<S: Simd>(simd: S, numbers: &Numbers) -> f32 {
-    reduce((*numbers).simd_into(simd), #[inline(always)] |a: f32x8<S>, b| a.max(b))
+    reduce(
+        (*numbers).simd_into(simd),
+        #[inline(always)]
+        |a: f32x8<S>, b| a.max(b),
+    )
 }
 
 /// The children whose boxes some ray may meet, and where at the earliest.
 #[inline(always)]
 fn meet<S: Simd>(simd: S, packet: &LocalPacket<S>, node: &WideNode, range: f32x16<S>) -> (u32, [f32; 8]) {
-    let [x, y, z] = each([0, 1, 2], #[inline(always)] |axis: usize| {
-        let step = step(node, axis);
-        let offset = f32x16::splat(simd, node.origin[axis]) - packet.outer_origins[axis];
-        let planes = planes(simd, node, axis, packet.near[axis]).mul_add(f32x16::splat(simd, step), offset);
-        (planes * packet.outer_scales[0][axis]).min(planes * packet.outer_scales[1][axis])
-    });
+    let [x, y, z] = each(
+        [0, 1, 2],
+        #[inline(always)]
+        |axis: usize| {
+            let step = step(node, axis);
+            let offset = f32x16::splat(simd, node.origin[axis]) - packet.outer_origins[axis];
+            let planes = planes(simd, node, axis, packet.near[axis]).mul_add(f32x16::splat(simd, step), offset);
+            (planes * packet.outer_scales[0][axis]).min(planes * packet.outer_scales[1][axis])
+        },
+    );
     let (enters, leaves) = halves(x.max(y).max(z.max(range)));
     let met = (enters + leaves).simd_le(f32x8::splat(simd, 0.0)).to_bitmask() as u32;
     (met & u32::from(node.exponents[3]), enters.into())
@@ -288,15 +419,19 @@ fn meet<S: Simd>(simd: S, packet: &LocalPacket<S>, node: &WideNode, range: f32x1
 /// The rays that meet the box of one child.
 #[inline(always)]
 fn meet_leaf<S: Simd>(simd: S, packet: &LocalPacket<S>, node: &WideNode, slot: usize, t_max: &Numbers) -> u64 {
-    let t = each([0, 1, 2], #[inline(always)] |axis: usize| {
-        let step = step(node, axis);
-        let offset = f32x16::splat(simd, node.origin[axis]) - packet.origins[axis];
-        let [near, far] = [packet.near[axis] & 1, packet.near[axis] & 1 ^ 1];
-        let planes = &node.planes[axis];
-        let near = f32x16::splat(simd, f32::from(planes[near][slot & 7]) * step);
-        let far = f32x16::splat(simd, f32::from(planes[far][slot & 7]) * step);
-        ((near + offset) * packet.reciprocals[axis], (far + offset) * packet.reciprocals[axis])
-    });
+    let t = each(
+        [0, 1, 2],
+        #[inline(always)]
+        |axis: usize| {
+            let step = step(node, axis);
+            let offset = f32x16::splat(simd, node.origin[axis]) - packet.origins[axis];
+            let [near, far] = [packet.near[axis] & 1, packet.near[axis] & 1 ^ 1];
+            let planes = &node.planes[axis];
+            let near = f32x16::splat(simd, f32::from(planes[near][slot & 7]) * step);
+            let far = f32x16::splat(simd, f32::from(planes[far][slot & 7]) * step);
+            ((near + offset) * packet.reciprocals[axis], (far + offset) * packet.reciprocals[axis])
+        },
+    );
     let enters = t[0].0.max(t[1].0).max(t[2].0.max(packet.t_min));
     let t_max: f32x16<S> = (*t_max).simd_into(simd);
     let leaves = t[0].1.min(t[1].1).min(t[2].1.min(t_max));
@@ -317,17 +452,33 @@ fn cross_packet<S: Simd>(
     let [x_axis, y_axis, t_axis] = packet.axes.order;
     let from = &packet.ordered_origins;
     let corners: &[[f32; 4]; 3] = bytemuck::cast_ref(triangle);
-    let [a, b, c] = each([0, 1, 2], #[inline(always)] |corner: usize| {
-        let corner = &corners[corner];
-        [
-            f32x16::splat(simd, corner[x_axis & 3]) - from[0],
-            f32x16::splat(simd, corner[y_axis & 3]) - from[1],
-            f32x16::splat(simd, corner[t_axis & 3]) - from[2],
-        ]
-    });
-    let x = each([a, b, c], #[inline(always)] |[x, _, t]| x * packet.scale + t * packet.slopes[0]);
-    let y = each([a, b, c], #[inline(always)] |[_, y, t]| y * packet.scale + t * packet.slopes[1]);
-    let t = each([a, b, c], #[inline(always)] |[_, _, t]| t * packet.t_scale);
+    let [a, b, c] = each(
+        [0, 1, 2],
+        #[inline(always)]
+        |corner: usize| {
+            let corner = &corners[corner];
+            [
+                f32x16::splat(simd, corner[x_axis & 3]) - from[0],
+                f32x16::splat(simd, corner[y_axis & 3]) - from[1],
+                f32x16::splat(simd, corner[t_axis & 3]) - from[2],
+            ]
+        },
+    );
+    let x = each(
+        [a, b, c],
+        #[inline(always)]
+        |[x, _, t]| x * packet.scale + t * packet.slopes[0],
+    );
+    let y = each(
+        [a, b, c],
+        #[inline(always)]
+        |[_, y, t]| y * packet.scale + t * packet.slopes[1],
+    );
+    let t = each(
+        [a, b, c],
+        #[inline(always)]
+        |[_, _, t]| t * packet.t_scale,
+    );
     let Some((crossed, crossings)) = cross(simd, x, y, t, packet.depth_scale) else { return false };
     let limits: f32x16<S> = (*t_max).simd_into(simd);
     let in_range = (crossings.t.simd_ge(packet.t_min) & crossings.t.simd_le(limits)).to_bitmask();

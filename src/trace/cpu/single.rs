@@ -100,7 +100,11 @@ impl<S: Simd> LocalRay<S> {
         let splat = |value| f32x4::splat(simd, value);
         Self {
             origin: slab.origin.to_array(),
-            scales: each(slab.reciprocal.to_array(), #[inline(always)] |r| f32x8::splat(simd, r * BOX_SLACK).combine(f32x8::splat(simd, -r))),
+            scales: each(
+                slab.reciprocal.to_array(),
+                #[inline(always)]
+                |r| f32x8::splat(simd, r * BOX_SLACK).combine(f32x8::splat(simd, -r)),
+            ),
             near: slab.reciprocal.to_array().map(|r| usize::from(r < 0.0)),
             octant: [0, 1, 2].iter().map(|&axis| usize::from(slab.reciprocal[axis] < 0.0) << axis).sum(),
             axes: Axes { order },
@@ -162,7 +166,16 @@ pub(super) fn walk<S: Simd>(
             let count = child.count() as usize;
             let before = t_max;
             for start in (0..count).step_by(4) {
-                t_max = cross_four(simd, ray, leaf, start, count - start, first_triangle + child.first(), t_max, &mut visit);
+                t_max = cross_four(
+                    simd,
+                    ray,
+                    leaf,
+                    start,
+                    count - start,
+                    first_triangle + child.first(),
+                    t_max,
+                    &mut visit,
+                );
             }
             if t_max != before {
                 range = self::range(simd, ray.t_min, t_max);
@@ -182,12 +195,16 @@ pub(super) fn range<S: Simd>(simd: S, t_min: f32, t_max: f32) -> f32x16<S> {
 /// The children whose boxes the ray meets, and where.
 #[inline(always)]
 fn meet<S: Simd>(simd: S, ray: &LocalRay<S>, node: &WideNode, range: f32x16<S>) -> (u32, [f32; 8]) {
-    let [x, y, z] = each([0, 1, 2], #[inline(always)] |axis: usize| {
-        let step = f32::from_bits(u32::from(node.exponents[axis]) << 23);
-        let offset = node.origin[axis] - ray.origin[axis];
-        let planes = planes(simd, node, axis, ray.near[axis]);
-        planes.mul_add(f32x16::splat(simd, step), f32x16::splat(simd, offset)) * ray.scales[axis]
-    });
+    let [x, y, z] = each(
+        [0, 1, 2],
+        #[inline(always)]
+        |axis: usize| {
+            let step = f32::from_bits(u32::from(node.exponents[axis]) << 23);
+            let offset = node.origin[axis] - ray.origin[axis];
+            let planes = planes(simd, node, axis, ray.near[axis]);
+            planes.mul_add(f32x16::splat(simd, step), f32x16::splat(simd, offset)) * ray.scales[axis]
+        },
+    );
     // Where it enters, and where it leaves, negated: the greatest of both.
     let (enters, leaves) = halves(x.max(y).max(z.max(range)));
     let met = (enters + leaves).simd_le(f32x8::splat(simd, 0.0)).to_bitmask() as u32;
@@ -220,13 +237,30 @@ fn cross_four<S: Simd>(
 ) -> f32 {
     let four = four_of(leaf, start);
     let [x_axis, y_axis, t_axis] = ray.axes.order;
-    let [a, b, c] = each(corners(simd, &four, ray.axes), #[inline(always)] |[x, y, t]| [x - ray.origin[x_axis], y - ray.origin[y_axis], t - ray.origin[t_axis]]);
-    let x = each([a, b, c], #[inline(always)] |[x, _, t]| x * ray.x_scale + t * ray.slope_x);
-    let y = each([a, b, c], #[inline(always)] |[_, y, t]| y * ray.x_scale + t * ray.slope_y);
-    let t = each([a, b, c], #[inline(always)] |[_, _, t]| t * ray.t_scale);
+    let [a, b, c] = each(
+        corners(simd, &four, ray.axes),
+        #[inline(always)]
+        |[x, y, t]| [x - ray.origin[x_axis], y - ray.origin[y_axis], t - ray.origin[t_axis]],
+    );
+    let x = each(
+        [a, b, c],
+        #[inline(always)]
+        |[x, _, t]| x * ray.x_scale + t * ray.slope_x,
+    );
+    let y = each(
+        [a, b, c],
+        #[inline(always)]
+        |[_, y, t]| y * ray.x_scale + t * ray.slope_y,
+    );
+    let t = each(
+        [a, b, c],
+        #[inline(always)]
+        |[_, _, t]| t * ray.t_scale,
+    );
     let Some((mut crossed, crossings)) = cross(simd, x, y, t, ray.depth_scale) else { return t_max };
     crossed &= (1 << count.min(4)) - 1;
-    crossed &= (crossings.t.simd_ge(f32x4::splat(simd, ray.t_min)) & crossings.t.simd_le(f32x4::splat(simd, t_max))).to_bitmask();
+    crossed &= (crossings.t.simd_ge(f32x4::splat(simd, ray.t_min)) & crossings.t.simd_le(f32x4::splat(simd, t_max)))
+        .to_bitmask();
     if crossed != 0 {
         let (t, u, v): ([f32; 4], [f32; 4], [f32; 4]) = (crossings.t.into(), crossings.u.into(), crossings.v.into());
         while crossed != 0 {
@@ -242,9 +276,15 @@ fn cross_four<S: Simd>(
 
 /// The instance's own ray.
 #[inline(always)]
-pub(super) fn local_ray<S: Simd>(simd: S, scene: &KernelScene<'_>, instance: &Instance, ray: &Ray) -> (u32, LocalRay<S>) {
+pub(super) fn local_ray<S: Simd>(
+    simd: S,
+    scene: &KernelScene<'_>,
+    instance: &Instance,
+    ray: &Ray,
+) -> (u32, LocalRay<S>) {
     let first = scene.geometries[instance.geometry as usize].first_wide_node;
     let origin = crate::trace::kernel::math::transform_point(&instance.local_from_world, Vec3::from_array(ray.origin));
-    let direction = crate::trace::kernel::math::transform_vector(&instance.local_from_world, Vec3::from_array(ray.direction));
+    let direction =
+        crate::trace::kernel::math::transform_vector(&instance.local_from_world, Vec3::from_array(ray.direction));
     (first, LocalRay::new(simd, origin, direction, ray.t_min, &scene.wide_nodes[first as usize]))
 }

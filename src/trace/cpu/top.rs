@@ -14,13 +14,18 @@ use crate::trace::kernel::{BOX_SLACK, KernelScene, meets_box, slab_ray};
 pub(super) fn walk_top(scene: &KernelScene<'_>, ray: &Ray, mut t_max: f32, mut visit: impl FnMut(u32) -> f32) {
     let direction = Vec3::from_array(ray.direction);
     let slab = slab_ray(Vec3::from_array(ray.origin), direction);
-    walk_nodes(scene.tlas_nodes, direction, #[inline(always)] |node, instance| {
-        let met = meets_box(&slab, ray.t_min, t_max, node);
-        if let (true, Some(instance)) = (met, instance) {
-            t_max = visit(instance);
-        }
-        met
-    });
+    walk_nodes(
+        scene.tlas_nodes,
+        direction,
+        #[inline(always)]
+        |node, instance| {
+            let met = meets_box(&slab, ray.t_min, t_max, node);
+            if let (true, Some(instance)) = (met, instance) {
+                t_max = visit(instance);
+            }
+            met
+        },
+    );
 }
 
 /// Visits the instances whose boxes a ray of the packet may meet no farther than its `t_max`, which `visit` may lower.
@@ -33,15 +38,24 @@ pub(super) fn walk_top_packet<S: Simd>(
     mut visit: impl FnMut(u32, &mut [f32; LANES]),
 ) {
     let slabs = packet.slabs(simd);
-    let direction = Vec3::new(packet.directions[0].as_array()[0], packet.directions[1].as_array()[0], packet.directions[2].as_array()[0]);
-    walk_nodes(scene.tlas_nodes, direction, #[inline(always)] |node, instance| {
-        let (enters, leaves) = slabs.meet(simd, node.min, node.max, t_max);
-        let met = (enters * BOX_SLACK).simd_le(leaves).any_true();
-        if let (true, Some(instance)) = (met, instance) {
-            visit(instance, t_max);
-        }
-        met
-    });
+    let direction = Vec3::new(
+        packet.directions[0].as_array()[0],
+        packet.directions[1].as_array()[0],
+        packet.directions[2].as_array()[0],
+    );
+    walk_nodes(
+        scene.tlas_nodes,
+        direction,
+        #[inline(always)]
+        |node, instance| {
+            let (enters, leaves) = slabs.meet(simd, node.min, node.max, t_max);
+            let met = (enters * BOX_SLACK).simd_le(leaves).any_true();
+            if let (true, Some(instance)) = (met, instance) {
+                visit(instance, t_max);
+            }
+            met
+        },
+    );
 }
 
 /// Shows nodes to `visit`, which is told the instance where it is a leaf, and says whether to go on below.

@@ -40,8 +40,7 @@ impl Query for Closest {
         let flags = InstanceFlags::from_bits_retain(instance.flags);
         if !is_closer(candidate.t, index, triangle.primitive, &self.0)
             || candidate.back && flags.contains(InstanceFlags::CULL_BACK)
-            || flags.contains(InstanceFlags::ALPHA_MASK)
-                && is_hole(scene, instance, triangle, candidate.u, candidate.v)
+            || flags.contains(InstanceFlags::ALPHA_MASK) && is_hole(scene, instance, triangle, candidate.u, candidate.v)
         {
             return;
         }
@@ -125,55 +124,110 @@ impl Query for Transmittance {
 
 /// One ray.
 #[inline(always)]
-pub(super) fn ask<S: Simd, Q: Query>(simd: S, scene: &KernelScene<'_>, stack: &mut Stack, ray: &Ray, ray_mask: u32) -> Q {
+pub(super) fn ask<S: Simd, Q: Query>(
+    simd: S,
+    scene: &KernelScene<'_>,
+    stack: &mut Stack,
+    ray: &Ray,
+    ray_mask: u32,
+) -> Q {
     let mut query = Q::start(ray.t_max);
-    walk_top(scene, ray, ray.t_max, #[inline(always)] |index| {
-        let instance = &scene.instances[index as usize];
-        if instance.mask & ray_mask != 0 {
-            let (first_node, local) = local_ray(simd, scene, instance, ray);
-            let t_max = query.t_max();
-            walk(simd, scene, first_node, instance.first_triangle, &local, stack, t_max, #[inline(always)] |candidate: &Candidate| {
-                query.cross(scene, index, instance, candidate);
-                query.t_max()
-            });
-        }
-        query.t_max()
-    });
+    walk_top(
+        scene,
+        ray,
+        ray.t_max,
+        #[inline(always)]
+        |index| {
+            let instance = &scene.instances[index as usize];
+            if instance.mask & ray_mask != 0 {
+                let (first_node, local) = local_ray(simd, scene, instance, ray);
+                let t_max = query.t_max();
+                walk(
+                    simd,
+                    scene,
+                    first_node,
+                    instance.first_triangle,
+                    &local,
+                    stack,
+                    t_max,
+                    #[inline(always)]
+                    |candidate: &Candidate| {
+                        query.cross(scene, index, instance, candidate);
+                        query.t_max()
+                    },
+                );
+            }
+            query.t_max()
+        },
+    );
     query.finish();
     query
 }
 
 /// At most sixteen rays; one by one where they do not go much the same way.
 #[inline(always)]
-pub(super) fn ask_packet<S: Simd, Q: Query>(simd: S, scene: &KernelScene<'_>, stack: &mut Stack, rays: &[Ray], ray_mask: u32) -> [Q; LANES] {
+pub(super) fn ask_packet<S: Simd, Q: Query>(
+    simd: S,
+    scene: &KernelScene<'_>,
+    stack: &mut Stack,
+    rays: &[Ray],
+    ray_mask: u32,
+) -> [Q; LANES] {
     let packet = Packet::new(simd, rays);
     let mut t_max: [f32; LANES] = packet.t_max.into();
     let mut queries = [Q::start(0.0); LANES];
     for lane in 0..LANES {
         queries[lane] = Q::start(t_max[lane]);
     }
-    walk_top_packet(simd, scene, &packet, &mut t_max, #[inline(always)] |index, t_max| {
-        let instance = &scene.instances[index as usize];
-        if instance.mask & ray_mask == 0 {
-            return;
-        }
-        if let Some((first_node, local)) = LocalPacket::new(simd, scene, instance, &packet) {
-            walk_packet(simd, scene, first_node, instance.first_triangle, &local, stack, t_max, #[inline(always)] |lane: usize, candidate: &Candidate| {
-                queries[lane].cross(scene, index, instance, candidate);
-                queries[lane].t_max()
-            });
-        } else {
-            for (lane, ray) in rays.iter().enumerate() {
-                let query = &mut queries[lane];
-                let (first_node, local) = local_ray(simd, scene, instance, ray);
-                walk(simd, scene, first_node, instance.first_triangle, &local, stack, t_max[lane], #[inline(always)] |candidate: &Candidate| {
-                    query.cross(scene, index, instance, candidate);
-                    query.t_max()
-                });
-                t_max[lane] = query.t_max();
+    walk_top_packet(
+        simd,
+        scene,
+        &packet,
+        &mut t_max,
+        #[inline(always)]
+        |index, t_max| {
+            let instance = &scene.instances[index as usize];
+            if instance.mask & ray_mask == 0 {
+                return;
             }
-        }
-    });
+            if let Some((first_node, local)) = LocalPacket::new(simd, scene, instance, &packet) {
+                walk_packet(
+                    simd,
+                    scene,
+                    first_node,
+                    instance.first_triangle,
+                    &local,
+                    stack,
+                    t_max,
+                    #[inline(always)]
+                    |lane: usize, candidate: &Candidate| {
+                        queries[lane].cross(scene, index, instance, candidate);
+                        queries[lane].t_max()
+                    },
+                );
+            } else {
+                for (lane, ray) in rays.iter().enumerate() {
+                    let query = &mut queries[lane];
+                    let (first_node, local) = local_ray(simd, scene, instance, ray);
+                    walk(
+                        simd,
+                        scene,
+                        first_node,
+                        instance.first_triangle,
+                        &local,
+                        stack,
+                        t_max[lane],
+                        #[inline(always)]
+                        |candidate: &Candidate| {
+                            query.cross(scene, index, instance, candidate);
+                            query.t_max()
+                        },
+                    );
+                    t_max[lane] = query.t_max();
+                }
+            }
+        },
+    );
     for query in &mut queries {
         query.finish();
     }
