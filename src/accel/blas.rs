@@ -4,14 +4,15 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::agglomerate;
-use super::flatten::flatten;
+use super::flatten::{Flat, flatten};
 use super::reinsert::{Effort, reinsert};
 use super::sah::{self, Cuts, SahParams};
 use super::stats::Stats;
 use super::tree::{Extent, Reference, TASK_MINIMUM};
 use super::validate::{StructureError, check_nodes};
+use super::wide::collapse;
 use crate::Result;
-use crate::device::layout::{Node, PrimitiveRange, Triangle};
+use crate::device::layout::{Node, PrimitiveRange, Triangle, WideNode};
 use crate::graph::{Geometry, Quality, Structure};
 use crate::math::Aabb;
 
@@ -20,6 +21,8 @@ use crate::math::Aabb;
 pub struct Blas {
     /// In depth-first order, escape indices relative to the first. Empty where there is nothing to hit.
     pub nodes: Vec<Node>,
+    /// The same hierarchy with eight children a node, indices relative to the first. Empty where `nodes` is.
+    pub wide_nodes: Vec<WideNode>,
     /// In leaf order; [`Triangle::primitive`] is the triangle's index in the geometry.
     pub triangles: Vec<Triangle>,
     /// The box around `triangles`, local space, not padded; empty without any.
@@ -88,30 +91,17 @@ impl Blas {
         // 1. Boxes.
         let (references, extent) = references(geometry)?;
         let count = references.len();
-        // 2. Build tree.
+        // 2. Build tree, and from that device arrays.
         let sah_params = SahParams {
             max_leaf_size: params.max_leaf_size.clamp(1, PrimitiveRange::MAX_COUNT) as usize,
             primitive_cost: params.triangle_cost,
         };
-        let tree = match params.structure {
-            Structure::Bvh(Quality::Fast) => agglomerate::build(&references),
-            Structure::Bvh(Quality::Balanced) => sah::build(references, &extent, &sah_params, None),
-            Structure::Bvh(Quality::Best) => {
-                let cuts = Cuts::new(geometry, &extent, count, BEST_ROOM, false);
-                let mut tree = sah::build(references, &extent, &sah_params, cuts);
-                reinsert(&mut tree, BEST_EFFORT);
-                tree
-            }
-            Structure::KdTree => {
-                let cuts = Cuts::new(geometry, &extent, count, KD_TREE_ROOM, true);
-                sah::build(references, &extent, &sah_params, cuts)
-            }
-        };
-        // 3. Device arrays.
-        let (nodes, order) = flatten(&tree, &sah_params);
-        let triangles = order.par_iter().with_min_len(CHUNK).map(|&p| triangle(geometry, p)).collect();
-        let (bounds, repeats) = (extent.aabb(), order.len() > count);
-        let blas = Self { nodes, triangles, bounds, repeats, triangle_cost: params.triangle_cost };
+        let flat = build_flat(geometry, references, &extent, params.structure, &sah_params).unwrap_or_default();
+        let triangles = flat.order.par_iter().with_min_len(CHUNK).map(|&p| triangle(geometry, p)).collect();
+        let wide_nodes = collapse(&flat.binary);
+        let (bounds, repeats) = (extent.aabb(), flat.order.len() > count);
+        let blas =
+            Self { nodes: flat.nodes, wide_nodes, triangles, bounds, repeats, triangle_cost: params.triangle_cost };
         debug_assert_eq!(blas.validate(), Ok(()));
         Ok(blas)
     }
@@ -151,7 +141,7 @@ impl Blas {
 
     /// Sizes and quality. O(n), and a sort where triangles [repeat](Self::repeats).
     pub fn stats(&self) -> Stats {
-        let bytes = size_of_val(&*self.nodes) + size_of_val(&*self.triangles);
+        let bytes = size_of_val(&*self.nodes) + size_of_val(&*self.wide_nodes) + size_of_val(&*self.triangles);
         let duplicate_count = if self.repeats { self.copies().len() } else { 0 };
         Stats { bytes, duplicate_count, ..Stats::of(&self.nodes, self.triangle_cost) }
     }
@@ -162,6 +152,34 @@ impl Blas {
         primitives.sort_unstable();
         primitives.windows(2).filter(|pair| pair[0] == pair[1]).map(|pair| pair[0]).collect()
     }
+}
+
+/// By the builder for a structure. No tree of the builder from the top down is too deep to be flattened.
+fn build_flat(
+    geometry: &Geometry,
+    references: Vec<Reference>,
+    extent: &Extent,
+    structure: Structure,
+    params: &SahParams,
+) -> Option<Flat> {
+    let count = references.len();
+    let cuts = match structure {
+        Structure::Bvh(Quality::Fast) => {
+            let flat = flatten(&agglomerate::build(&references), params);
+            if flat.is_some() {
+                return flat;
+            }
+            None
+        }
+        Structure::Bvh(Quality::Balanced) => None,
+        Structure::Bvh(Quality::Best) => Cuts::new(geometry, extent, count, BEST_ROOM, false),
+        Structure::KdTree => Cuts::new(geometry, extent, count, KD_TREE_ROOM, true),
+    };
+    let mut tree = sah::build(references, extent, params, cuts);
+    if structure == Structure::Bvh(Quality::Best) {
+        reinsert(&mut tree, BEST_EFFORT);
+    }
+    flatten(&tree, params)
 }
 
 /// How many triangles there may be more in the leaves than in the geometry, for each there: more of them make the hierarchy hardly

@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 use glam::Vec3;
 
-use super::sah::SahParams;
+use super::sah::{MAX_DEPTH, SahParams};
 use super::tree::{BuildNode, BuildTree, Content};
 use crate::device::layout::{NONE, Node, PrimitiveRange};
 
@@ -16,7 +16,18 @@ const PARALLEL_MINIMUM: usize = 1 << 12;
 /// See [`PARALLEL_MINIMUM`].
 const TASK_DEPTH: u32 = 12;
 
-/// The nodes in depth-first order, and the primitives in leaf order: a leaf's range counts in the latter. O(n).
+/// What becomes of a build tree.
+#[derive(Default)]
+pub(super) struct Flat {
+    /// In depth-first order.
+    pub(super) nodes: Vec<Node>,
+    /// The same with no inner node left out.
+    pub(super) binary: Vec<Node>,
+    /// The primitives in leaf order: a leaf's range counts in it.
+    pub(super) order: Vec<u32>,
+}
+
+/// Flattens a tree; `None` if it has more than [`MAX_DEPTH`] levels. O(n).
 ///
 /// Each node's escape index is that of the node after its subtree (paper, section 3), or [`NONE`]. Of the two children of a node
 /// of the tree the one with the larger surface comes first: it is hit more often, and what it hides need not be visited.
@@ -25,19 +36,21 @@ const TASK_DEPTH: u32 = 12;
 /// fetched as often as a's box is met, and its children as often as its own box is; without it they are fetched as often as a's
 /// is. How often that is goes by the surface A, so the condition is k A(a) < A(a) + k A(n). It is decided from the leaves up,
 /// with a the node directly above. In the same way a subtree becomes a leaf where that is cheaper.
-pub(super) fn flatten(tree: &BuildTree, params: &SahParams) -> (Vec<Node>, Vec<u32>) {
+pub(super) fn flatten(tree: &BuildTree, params: &SahParams) -> Option<Flat> {
     if tree.nodes.is_empty() {
-        return (Vec::new(), Vec::new());
+        return Some(Flat::default());
     }
     let parts = bytemuck::zeroed_vec(tree.nodes.len());
     let task_depth = if tree.nodes.len() < PARALLEL_MINIMUM { 0 } else { TASK_DEPTH };
     let flattener = Flattener { tree, params, parts, task_depth };
-    let whole = flattener.plan(0, 0).part;
+    let whole = flattener.plan(0, 0)?.part;
     flattener.parts[0].store(Part { tops: 1, ..whole }.pack(), Relaxed);
-    let (mut nodes, mut order) =
-        (bytemuck::zeroed_vec(whole.nodes as usize), bytemuck::zeroed_vec(whole.primitives as usize));
-    flattener.emit(0, Place { node: 0, primitive: 0, end: whole.nodes, depth: 0 }, &mut nodes, &mut order);
-    (nodes, order)
+    let mut order = bytemuck::zeroed_vec(whole.primitives as usize);
+    let mut nodes = bytemuck::zeroed_vec(whole.nodes as usize);
+    let place = Place { node: 0, primitive: 0, end: whole.nodes, depth: 0 };
+    let emit = || flattener.emit(0, place, &mut nodes, &mut order);
+    let ((), binary) = flattener.join(0, emit, || flattener.binary());
+    Some(Flat { nodes, binary, order })
 }
 
 struct Flattener<'a> {
@@ -97,6 +110,12 @@ impl Plan {
     }
 }
 
+/// What is to be done on the way through a tree.
+enum Step {
+    Write(usize),
+    Close(usize),
+}
+
 /// Where a subtree goes.
 #[derive(Clone, Copy)]
 struct Place {
@@ -108,8 +127,8 @@ struct Place {
 }
 
 impl Flattener<'_> {
-    /// Decides for all nodes below one whether they are kept. Recursion is as deep as the tree.
-    fn plan(&self, index: usize, depth: u32) -> Plan {
+    /// Decides for all nodes below one whether they are kept. `None` if the tree is too deep, which recursion never is.
+    fn plan(&self, index: usize, depth: u32) -> Option<Plan> {
         let node = &self.tree.nodes[index];
         let area = half_area(node);
         let leaf = |primitives: u32| Plan {
@@ -118,20 +137,21 @@ impl Flattener<'_> {
             cost: area * f64::from(primitives) * f64::from(self.params.primitive_cost),
         };
         let child = match node.content() {
-            Content::Primitives(range) => return leaf(range.len() as u32),
+            Content::Primitives(range) => return Some(leaf(range.len() as u32)),
             Content::Children(child) => child,
         };
+        if depth + 1 == MAX_DEPTH as u32 {
+            return None;
+        }
         let plan = |child| self.plan(child, depth + 1);
         let plans = self.join(depth, || plan(child), || plan(child + 1));
         let mut whole = Plan { part: Part { nodes: 1, primitives: 0, tops: 2 }, area, cost: 0.0 };
-        for (child, plan) in [child, child + 1].into_iter().zip([plans.0, plans.1]) {
+        for (child, plan) in [child, child + 1].into_iter().zip([plans.0?, plans.1?]) {
             let part = whole.add(plan);
             self.parts[child].store(part.pack(), Relaxed);
         }
-        match self.primitives_of_leaf(index, &whole).map(leaf) {
-            Some(leaf) if leaf.cost <= whole.cost => leaf,
-            _ => whole,
-        }
+        let leaf = self.primitives_of_leaf(index, &whole).map(leaf);
+        leaf.filter(|leaf| leaf.cost <= whole.cost).or(Some(whole))
     }
 
     /// How many primitives there would be in a leaf instead of a subtree, if they are not too many.
@@ -183,6 +203,39 @@ impl Flattener<'_> {
                 );
             }
         }
+    }
+
+    /// All nodes, none left out. Depth first with a stack of what is to come second.
+    fn binary(&self) -> Vec<Node> {
+        let mut nodes: Vec<Node> = Vec::with_capacity(2 * self.part(0).nodes as usize);
+        let mut primitive = 0;
+        // A node, or an inner one of which all has been written: its place.
+        let mut stack = vec![Step::Write(0)];
+        while let Some(step) = stack.pop() {
+            match step {
+                Step::Close(place) => nodes[place].escape_index = nodes.len() as u32,
+                Step::Write(index) => {
+                    let (node, part) = (&self.tree.nodes[index], self.part(index));
+                    let (min, max) = padded(node.min, node.max);
+                    let mut primitives = PrimitiveRange::INNER;
+                    match node.content() {
+                        Content::Children(child) if part.nodes > 1 => {
+                            let [first, second] = self.larger_first(child);
+                            stack.extend([Step::Close(nodes.len()), Step::Write(second), Step::Write(first)]);
+                        }
+                        _ => {
+                            primitives = PrimitiveRange::leaf(primitive, part.primitives);
+                            primitive += part.primitives;
+                        }
+                    }
+                    let escape_index = nodes.len() as u32 + 1;
+                    nodes.push(Node { min: min.to_array(), escape_index, max: max.to_array(), primitives });
+                }
+            }
+        }
+        let end = nodes.len() as u32;
+        nodes.iter_mut().filter(|node| node.escape_index == end).for_each(|node| node.escape_index = NONE);
+        nodes
     }
 
     /// Does both, side by side near the root.

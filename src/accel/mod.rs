@@ -24,13 +24,13 @@ mod support;
 mod top_level;
 mod tree;
 mod validate;
+mod wide;
 
 pub use blas::{Blas, BuildParams};
 pub use flatten::MAX_CHILDREN;
+pub use sah::MAX_DEPTH;
 pub use stats::Stats;
 pub use support::Support;
 pub use top_level::{Rebuild, TopLevel, Update};
 pub use validate::StructureError;
-
-/// No hierarchy has more levels.
-pub const MAX_DEPTH: usize = if cluster::MAX_DEPTH > sah::MAX_DEPTH { cluster::MAX_DEPTH } else { sah::MAX_DEPTH };
+pub use wide::MAX_WIDE_DEPTH;

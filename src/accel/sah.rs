@@ -12,8 +12,8 @@ use super::tree::{BuildNode, BuildTree, Extent, Reference, TASK_MINIMUM, slots_b
 use crate::device::layout::PrimitiveRange;
 use crate::graph::Geometry;
 
-/// No tree has more levels than this: nodes below level 64 are halved by count, and 2^28 primitives can be halved 28 times.
-pub(super) const MAX_DEPTH: usize = (MAX_SAH_DEPTH + 29) as usize;
+/// No hierarchy has more levels than this: nodes below level 64 are halved by count, and 2^28 primitives can be halved 28 times.
+pub const MAX_DEPTH: usize = (MAX_SAH_DEPTH + 29) as usize;
 
 const MAX_SAH_DEPTH: u32 = 64;
 

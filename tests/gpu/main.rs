@@ -5,8 +5,11 @@
 
 mod agreement;
 mod device;
+mod failures;
 mod frame;
 mod layers;
+mod occlusion;
+mod resident;
 mod scene;
 mod soup;
 #[path = "../support/gpu.rs"]
