@@ -3,6 +3,10 @@
 //! A figure is a median of several samples, and what counts is the ratio of two figures of one run: everything that is
 //! compared runs in turns, so that whatever else the machine does hits all of them alike.
 
+pub mod embree;
+pub mod rays;
+pub mod scenes;
+
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
@@ -10,6 +14,9 @@ use std::time::{Duration, Instant};
 use clap::Parser;
 use comfy_table::Table;
 use comfy_table::presets::ASCII_MARKDOWN;
+
+/// What went wrong, in words.
+pub type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;
 
 /// The options that every benchmark takes.
 #[derive(Clone, Debug, Parser)]

@@ -1,0 +1,228 @@
+//! The same rays through Ropewalk's `cpu` executor and its peers, one thread each.
+//!
+//! All are built over the same triangles: where a scene has instances, peers get them flattened into one level, which spares
+//! them the second. Every material is opaque and has two sides. Rays are laid out for each as it takes them before the clock
+//! starts.
+
+mod runner;
+
+use std::process::ExitCode;
+
+use clap::Parser;
+use glam::Vec3;
+use rayon::{ThreadPool, ThreadPoolBuilder};
+use ropewalk::device::layout::Ray;
+use ropewalk_bench::embree::{Any1, Any16, Closest1, Closest16, Embree, Quality, Scene};
+use ropewalk_bench::rays::{RayKind, RaySets};
+use ropewalk_bench::scenes::{BenchScene, Recipe, SCENES};
+use ropewalk_bench::{Contender, Options, Report, Result, Target, medians};
+
+use runner::{Ropewalk, Runner};
+
+/// The scenes of this benchmark: those that peers can hold without instances.
+const NAMES: [&str; 5] = ["bunny", "dragon-res2", "dragon", "sponza", "kitchen"];
+const QUICK_NAMES: [&str; 2] = ["bunny", "dragon-res2"];
+/// The scenes that the goals are about.
+const GOAL_NAMES: [&str; 2] = ["bunny", "dragon"];
+/// Of the rate of one thread, with so many threads: 3.6 of 4.
+const SCALING: f64 = 0.9;
+const MAX_THREADS: usize = 4;
+/// Relative: distances that differ by no more are the same.
+const SAME_T: f32 = 1e-4;
+
+#[derive(Debug, Parser)]
+struct Arguments {
+    #[command(flatten)]
+    options: Options,
+    /// Only these scenes.
+    #[arg(long, value_name = "NAME", value_parser = NAMES)]
+    scene: Vec<String>,
+    /// Only these rays.
+    #[arg(long, value_name = "KIND")]
+    rays: Vec<RayKind>,
+}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    match measure_all(&arguments) {
+        Ok(report) => report.finish(&arguments.options),
+        Err(error) => {
+            eprintln!("{error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn measure_all(arguments: &Arguments) -> Result<Report> {
+    let names = if arguments.options.quick { &QUICK_NAMES[..] } else { &NAMES };
+    let is_wanted = |recipe: &&Recipe| {
+        if arguments.scene.is_empty() {
+            names.contains(&recipe.name)
+        } else {
+            arguments.scene.iter().any(|name| name == recipe.name)
+        }
+    };
+    let kinds = if arguments.rays.is_empty() { &RayKind::ALL[..] } else { &arguments.rays };
+    let columns =
+        ["scene", "triangles", "rays", "count", "who", "Mrays/s", "ours / theirs", "hits", "other t", "other verdict"];
+    let mut report = Report::new(&columns);
+    let embree = Embree::open(0)?;
+    let threads = std::thread::available_parallelism().map_or(1, usize::from).min(MAX_THREADS);
+    let pools = [thread_pool(1)?, thread_pool(threads)?];
+    for recipe in SCENES.iter().filter(is_wanted) {
+        let scene = recipe.load()?;
+        let triangles = scene.triangles();
+        let peers = Peers::build(&embree, &triangles)?;
+        let sets = RaySets::new(&scene)?;
+        let mut scaling = [0.0; 2];
+        for &kind in kinds {
+            let rays = sets.of(kind);
+            let mut entries = peers.entries(rays, kind);
+            entries.splice(0..0, ours(&scene, rays, kind, &pools));
+            let times = measure(&scene, &triangles, kind, entries, arguments, &mut report);
+            scaling[0] += times[0];
+            scaling[1] += times[1];
+        }
+        if GOAL_NAMES.contains(&scene.name) {
+            let goal = Target::AtLeast(SCALING * threads as f64);
+            report.goal(format!("threads_{threads}_{}", scene.name), scaling[0] / scaling[1], goal, "x");
+        }
+    }
+    Ok(report)
+}
+
+fn thread_pool(threads: usize) -> Result<ThreadPool> {
+    Ok(ThreadPoolBuilder::new().num_threads(threads).build()?)
+}
+
+/// Who traces, and what a goal compares it as.
+struct Entry<'a> {
+    name: String,
+    role: Role,
+    runner: Box<dyn Runner + 'a>,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Role {
+    Ours,
+    /// Embree as it comes, a ray at a time.
+    Embree1,
+    /// The same, 16 at a time.
+    Embree16,
+    Other,
+}
+
+fn ours<'a>(scene: &'a BenchScene, rays: &'a [Ray], kind: RayKind, pools: &'a [ThreadPool; 2]) -> [Entry<'a>; 2] {
+    [(Role::Ours, &pools[0]), (Role::Other, &pools[1])].map(|(role, pool)| {
+        let threads = pool.current_num_threads();
+        let name = if threads == 1 { "ropewalk".to_owned() } else { format!("ropewalk, {threads} threads") };
+        Entry { name, role, runner: Box::new(Ropewalk::new(scene.arrays(), rays, kind, pool)) }
+    })
+}
+
+/// What peers have built over one scene.
+struct Peers<'a> {
+    embree: [Scene<'a>; 3],
+}
+
+impl<'a> Peers<'a> {
+    fn build(embree: &'a Embree, triangles: &[[Vec3; 3]]) -> Result<Self> {
+        let embree = [
+            embree.scene(triangles, Quality::Medium, false)?,
+            embree.scene(triangles, Quality::High, false)?,
+            embree.scene(triangles, Quality::Medium, true)?,
+        ];
+        Ok(Self { embree })
+    }
+
+    fn entries<'b>(&'b self, rays: &'b [Ray], kind: RayKind) -> Vec<Entry<'b>> {
+        let [medium, high, robust] = &self.embree;
+        let best = kind.is_coherent();
+        vec![
+            embree_1("", Role::Embree1, medium, rays, kind),
+            embree_16("", Role::Embree16, medium, rays, kind, false),
+            embree_16(", coherent", Role::Embree16, medium, rays, kind, true),
+            embree_1(", high quality", Role::Other, high, rays, kind),
+            embree_16(", high quality", Role::Other, high, rays, kind, best),
+            embree_1(", robust", Role::Other, robust, rays, kind),
+            embree_16(", robust", Role::Other, robust, rays, kind, best),
+        ]
+    }
+}
+
+fn embree_1<'a>(how: &str, role: Role, scene: &'a Scene<'a>, rays: &'a [Ray], kind: RayKind) -> Entry<'a> {
+    if kind.is_any_hit() {
+        let runner = Box::new(runner::Embree::<Any1>::new(scene, rays, false));
+        return Entry { name: format!("Embree occluded1{how}"), role, runner };
+    }
+    let runner = Box::new(runner::Embree::<Closest1>::new(scene, rays, false));
+    Entry { name: format!("Embree intersect1{how}"), role, runner }
+}
+
+fn embree_16<'a>(
+    how: &str,
+    role: Role,
+    scene: &'a Scene<'a>,
+    rays: &'a [Ray],
+    kind: RayKind,
+    is_coherent: bool,
+) -> Entry<'a> {
+    if kind.is_any_hit() {
+        let runner = Box::new(runner::Embree::<Any16>::new(scene, rays, is_coherent));
+        return Entry { name: format!("Embree occluded16{how}"), role, runner };
+    }
+    let runner = Box::new(runner::Embree::<Closest16>::new(scene, rays, is_coherent));
+    Entry { name: format!("Embree intersect16{how}"), role, runner }
+}
+
+/// Adds a row for each, ours first, and the goals. Returns everybody's times, in seconds.
+fn measure(
+    scene: &BenchScene,
+    triangles: &[[Vec3; 3]],
+    kind: RayKind,
+    mut entries: Vec<Entry<'_>>,
+    arguments: &Arguments,
+    report: &mut Report,
+) -> Vec<f64> {
+    let samples = if arguments.options.quick { 5 } else { 9 };
+    let mut contenders: Vec<Contender> =
+        entries.iter_mut().map(|entry| Box::new(|| entry.runner.run()) as Contender).collect();
+    let times = medians(samples, &mut contenders);
+    drop(contenders);
+    let times: Vec<f64> = times.iter().map(std::time::Duration::as_secs_f64).collect();
+
+    let truth = entries[0].runner.answers();
+    for (entry, time) in entries.iter().zip(&times) {
+        let answers = entry.runner.answers();
+        report.row([
+            scene.name.to_owned(),
+            triangles.len().to_string(),
+            kind.name().to_owned(),
+            truth.len().to_string(),
+            entry.name.clone(),
+            format!("{:.2}", truth.len() as f64 / time * 1e-6),
+            format!("{:.2}", time / times[0]),
+            answers.iter().filter(|t| t.is_finite()).count().to_string(),
+            count(&truth, &answers, |a, b| a.is_finite() && b.is_finite() && (a - b).abs() > SAME_T * a.max(b)),
+            count(&truth, &answers, |a, b| a.is_finite() != b.is_finite()),
+        ]);
+    }
+
+    if GOAL_NAMES.contains(&scene.name) {
+        let (roles, target): (&[Role], _) = match kind {
+            RayKind::Primary => (&[Role::Embree16], 2.0),
+            RayKind::Shadow | RayKind::Mirror => (&[Role::Embree1, Role::Embree16], 1.5),
+            RayKind::Diffuse => (&[Role::Embree1], 1.0),
+        };
+        let theirs = entries.iter().zip(&times).filter(|(entry, _)| roles.contains(&entry.role));
+        let best = theirs.map(|(_, &time)| time).fold(f64::INFINITY, f64::min);
+        let name = format!("{}_{}_against_embree", kind.name(), scene.name);
+        report.goal(name, best / times[0], Target::AtLeast(target), "x");
+    }
+    times
+}
+
+/// How many answers of two differ in a way.
+fn count(ours: &[f32], theirs: &[f32], differ: impl Fn(f32, f32) -> bool) -> String {
+    ours.iter().zip(theirs).filter(|&(&a, &b)| differ(a, b)).count().to_string()
+}

@@ -1,0 +1,146 @@
+//! The rays that executors and peers are measured with: the same for all, on every machine.
+
+use std::f32::consts::TAU;
+
+use clap::ValueEnum;
+use glam::Vec3;
+use rayon::prelude::*;
+use ropewalk::Camera;
+use ropewalk::device::layout::{Hit, NONE, Ray};
+use ropewalk::trace::{Emulated, Tracer as _};
+
+use crate::Result;
+use crate::scenes::{BenchScene, HEIGHT, WIDTH};
+
+/// What rays are for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum RayKind {
+    /// From the eye through each pixel, in blocks of 4 by 4 pixels.
+    Primary,
+    /// From what the primary rays hit to one light: is there anything between?
+    Shadow,
+    /// The primary rays that hit something, reflected once.
+    Mirror,
+    /// One cosine-distributed ray from each point that a primary ray hit.
+    Diffuse,
+}
+
+impl RayKind {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Primary, Self::Shadow, Self::Mirror, Self::Diffuse];
+
+    /// What `--rays` calls it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Primary => "primary",
+            Self::Shadow => "shadow",
+            Self::Mirror => "mirror",
+            Self::Diffuse => "diffuse",
+        }
+    }
+
+    /// Whether any hit will do, whichever it is.
+    pub fn is_any_hit(self) -> bool {
+        self == Self::Shadow
+    }
+
+    /// Whether neighbours among the rays go much the same way.
+    pub fn is_coherent(self) -> bool {
+        matches!(self, Self::Primary | Self::Shadow)
+    }
+}
+
+/// Every ray of a scene, in the space of its device arrays. Directions have length 1.
+#[derive(Clone, Debug)]
+pub struct RaySets([Vec<Ray>; 4]);
+
+/// Rays that one task traces.
+const CHUNK: usize = 1 << 12;
+/// How far from a surface a ray starts, in units of the largest coordinate of the surface or the eye: more than any tracer's
+/// error.
+const OFFSET: f32 = 1.0 / (1 << 16) as f32;
+/// How much of the way to the light a shadow ray goes.
+const TO_LIGHT: f32 = 1.0 - 1.0 / (1 << 12) as f32;
+
+impl RaySets {
+    /// Traces the primary rays, to know where the others start.
+    ///
+    /// # Errors
+    /// As [`Tracer::closest_hits`](ropewalk::trace::Tracer::closest_hits).
+    pub fn new(scene: &BenchScene) -> Result<Self> {
+        let primary = primary(scene);
+        let hits = primary.par_chunks(CHUNK).map(|rays| Emulated::default().closest_hits(scene.arrays(), rays, NONE));
+        let hits: Vec<Vec<Hit>> = hits.collect::<ropewalk::Result<_>>()?;
+        let mut random = fastrand::Rng::with_seed(2);
+        let [mut shadow, mut mirror, mut diffuse] = [const { Vec::new() }; 3];
+        for (ray, hit) in primary.iter().zip(hits.iter().flatten()).filter(|(_, hit)| hit.instance != NONE) {
+            let surface = Surface::new(scene, ray, hit);
+            let incoming = Vec3::from_array(ray.direction);
+            let to_light = scene.light - surface.origin;
+            shadow.push(Ray { t_max: to_light.length() * TO_LIGHT, ..surface.ray(to_light) });
+            mirror.push(surface.ray(incoming - 2.0 * incoming.dot(surface.normal) * surface.normal));
+            diffuse.push(surface.ray(surface.cosine_direction(&mut random)));
+        }
+        Ok(Self([primary, shadow, mirror, diffuse]))
+    }
+
+    /// The rays of one kind.
+    pub fn of(&self, kind: RayKind) -> &[Ray] {
+        &self.0[kind as usize]
+    }
+}
+
+/// Through the middle of each pixel, block after block, row by row.
+fn primary(scene: &BenchScene) -> Vec<Ray> {
+    const BLOCK: u32 = 4;
+    let pose = &scene.view.world_from_view;
+    let [right, up, back] =
+        [pose.matrix3.x_axis, pose.matrix3.y_axis, pose.matrix3.z_axis].map(|axis| axis.normalize().as_vec3());
+    let half_height = match scene.view.camera {
+        Camera::Perspective { y_fov, .. } => (0.5 * y_fov).tan(),
+        Camera::Orthographic { y_mag, .. } => y_mag,
+    };
+    let (origin, pixel) = (pose.translation.as_vec3(), 2.0 * half_height / HEIGHT as f32);
+    let ray = |x: u32, y: u32| {
+        let (x, y) = (x as f32 + 0.5 - 0.5 * WIDTH as f32, 0.5 * HEIGHT as f32 - y as f32 - 0.5);
+        ray(origin, right * (x * pixel) + up * (y * pixel) - back)
+    };
+    let blocks = (0..HEIGHT / BLOCK).flat_map(|y| (0..WIDTH / BLOCK).map(move |x| [x * BLOCK, y * BLOCK]));
+    blocks.flat_map(|[x, y]| (0..BLOCK * BLOCK).map(move |i| ray(x + i % BLOCK, y + i / BLOCK))).collect()
+}
+
+fn ray(origin: Vec3, direction: Vec3) -> Ray {
+    Ray { origin: origin.to_array(), t_min: 0.0, direction: direction.normalize().to_array(), t_max: f32::MAX }
+}
+
+/// Where a ray hit.
+struct Surface {
+    /// A little off the surface, on the ray's side.
+    origin: Vec3,
+    /// The triangle's own, towards the ray.
+    normal: Vec3,
+}
+
+impl Surface {
+    fn new(scene: &BenchScene, ray: &Ray, hit: &Hit) -> Self {
+        let [origin, direction] = [ray.origin, ray.direction].map(Vec3::from_array);
+        let [v0, v1, v2] = scene.corners(hit);
+        let normal = (v1 - v0).cross(v2 - v0).normalize_or(-direction);
+        let normal = if normal.dot(direction) > 0.0 { -normal } else { normal };
+        let position = v0 + (v1 - v0) * hit.u + (v2 - v0) * hit.v;
+        let reach = position.abs().max(origin.abs()).max_element();
+        Self { origin: position + normal * (OFFSET * reach), normal }
+    }
+
+    fn ray(&self, direction: Vec3) -> Ray {
+        ray(self.origin, direction)
+    }
+
+    /// Malley's method: a point of the disc, lifted to the hemisphere.
+    fn cosine_direction(&self, random: &mut fastrand::Rng) -> Vec3 {
+        let (share, angle) = (random.f32(), TAU * random.f32());
+        let (tangent, bitangent) = self.normal.any_orthonormal_pair();
+        let radius = share.sqrt();
+        tangent * (radius * angle.cos()) + bitangent * (radius * angle.sin()) + self.normal * (1.0 - share).sqrt()
+    }
+}
