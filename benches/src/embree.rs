@@ -215,8 +215,8 @@ pub trait Batch {
     /// Traces them.
     fn trace(&mut self, scene: &Scene<'_>, is_coherent: bool);
 
-    /// For each ray how far it got: infinity for a closest hit that missed; for any hit 0 where it met something, infinity
-    /// where it did not.
+    /// What the last trace found, as [`closest_answer`](crate::rays::closest_answer) and [`any_answer`](crate::rays::any_answer)
+    /// have it.
     fn answers(&self) -> Vec<f32>;
 }
 

@@ -4,6 +4,7 @@
 //! compared runs in turns, so that whatever else the machine does hits all of them alike.
 
 pub mod embree;
+pub mod layouts;
 pub mod rays;
 pub mod scenes;
 
@@ -132,8 +133,9 @@ impl Report {
     }
 
     fn csv(&self) -> String {
-        let header = self.header.join(",");
-        self.rows.iter().fold(header + "\n", |csv, row| csv + &row.join(",") + "\n")
+        let quoted = |cell: &String| if cell.contains(',') { format!("\"{cell}\"") } else { cell.clone() };
+        let line = |row: &Vec<String>| row.iter().map(quoted).collect::<Vec<_>>().join(",");
+        self.rows.iter().fold(self.header.join(",") + "\n", |csv, row| csv + &line(row) + "\n")
     }
 }
 

@@ -69,11 +69,10 @@ impl RaySets {
     /// As [`Tracer::closest_hits`](ropewalk::trace::Tracer::closest_hits).
     pub fn new(scene: &BenchScene) -> Result<Self> {
         let primary = primary(scene);
-        let hits = primary.par_chunks(CHUNK).map(|rays| Emulated::default().closest_hits(scene.arrays(), rays, NONE));
-        let hits: Vec<Vec<Hit>> = hits.collect::<ropewalk::Result<_>>()?;
+        let hits = closest_hits(scene, &primary)?;
         let mut random = fastrand::Rng::with_seed(2);
         let [mut shadow, mut mirror, mut diffuse] = [const { Vec::new() }; 3];
-        for (ray, hit) in primary.iter().zip(hits.iter().flatten()).filter(|(_, hit)| hit.instance != NONE) {
+        for (ray, hit) in primary.iter().zip(&hits).filter(|(_, hit)| hit.instance != NONE) {
             let surface = Surface::new(scene, ray, hit);
             let incoming = Vec3::from_array(ray.direction);
             let to_light = scene.light - surface.origin;
@@ -87,6 +86,59 @@ impl RaySets {
     /// The rays of one kind.
     pub fn of(&self, kind: RayKind) -> &[Ray] {
         &self.0[kind as usize]
+    }
+}
+
+fn closest_hits(scene: &BenchScene, rays: &[Ray]) -> Result<Vec<Hit>> {
+    let hits = rays.par_chunks(CHUNK).map(|rays| Emulated::default().closest_hits(scene.arrays(), rays, NONE));
+    Ok(hits.collect::<ropewalk::Result<Vec<_>>>()?.concat())
+}
+
+fn any_hits(scene: &BenchScene, rays: &[Ray]) -> Result<Vec<bool>> {
+    let hits = rays.par_chunks(CHUNK).map(|rays| Emulated::default().any_hits(scene.arrays(), rays, NONE));
+    Ok(hits.collect::<ropewalk::Result<Vec<_>>>()?.concat())
+}
+
+/// What the executor `emulated` finds, as [`closest_answer`] and [`any_answer`] have it.
+///
+/// # Errors
+/// As [`Tracer::closest_hits`](ropewalk::trace::Tracer::closest_hits).
+pub fn true_answers(scene: &BenchScene, rays: &[Ray], kind: RayKind) -> Result<Vec<f32>> {
+    if kind.is_any_hit() {
+        return Ok(any_hits(scene, rays)?.into_iter().map(any_answer).collect());
+    }
+    Ok(closest_hits(scene, rays)?.iter().map(closest_answer).collect())
+}
+
+/// How far a ray went: infinity for a miss.
+pub fn closest_answer(hit: &Hit) -> f32 {
+    if hit.instance == NONE { f32::INFINITY } else { hit.t }
+}
+
+/// The same where nobody says how far: 0 for a hit.
+pub fn any_answer(is_hit: bool) -> f32 {
+    if is_hit { 0.0 } else { f32::INFINITY }
+}
+
+/// How many answers of two differ.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Differences {
+    /// One ray hit, the other did not.
+    pub verdicts: usize,
+    /// Both hit, at distances that are more than 1e-4 apart, relatively.
+    pub distances: usize,
+}
+
+impl Differences {
+    /// Compares the answers to the same rays. One too few or too many counts as another verdict.
+    pub fn between(ours: &[f32], theirs: &[f32]) -> Self {
+        const SAME: f32 = 1e-4;
+        let mut differences = Self { verdicts: ours.len().abs_diff(theirs.len()), distances: 0 };
+        for (&a, &b) in ours.iter().zip(theirs) {
+            differences.verdicts += usize::from(a.is_finite() != b.is_finite());
+            differences.distances += usize::from(a.is_finite() && b.is_finite() && (a - b).abs() > SAME * a.max(b));
+        }
+        differences
     }
 }
 

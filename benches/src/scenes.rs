@@ -85,7 +85,7 @@ pub const SCENES: [Recipe; 9] = [
 ];
 
 const fn bunnies(name: &'static str, overlap: f64) -> Recipe {
-    let (eye, target, light) = ([0.9, 0.7, 2.0], [0.0, 0.0, 0.0], [-2.0, 3.0, 2.0]);
+    let (eye, target, light) = ([0.66, 0.5, 1.46], [0.0, 0.0, 0.0], [-2.0, 3.0, 2.0]);
     Recipe { name, source: Source::Bunnies(overlap), eye, target, light }
 }
 
@@ -148,7 +148,7 @@ fn placed(instance: &Instance, triangle: &Triangle) -> [Vec3; 3] {
 }
 
 /// The ranges of the leaves of the hierarchy that starts with these nodes.
-fn leaves(nodes: &[Node]) -> impl Iterator<Item = (usize, usize)> {
+pub(crate) fn leaves(nodes: &[Node]) -> impl Iterator<Item = (usize, usize)> {
     let mut next = if nodes.is_empty() { NONE } else { 0 };
     std::iter::from_fn(move || {
         while next != NONE {

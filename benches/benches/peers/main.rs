@@ -13,7 +13,7 @@ use glam::Vec3;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use ropewalk::device::layout::Ray;
 use ropewalk_bench::embree::{Any1, Any16, Closest1, Closest16, Embree, Quality, Scene};
-use ropewalk_bench::rays::{RayKind, RaySets};
+use ropewalk_bench::rays::{Differences, RayKind, RaySets};
 use ropewalk_bench::scenes::{BenchScene, Recipe, SCENES};
 use ropewalk_bench::{Contender, Options, Report, Result, Target, medians};
 
@@ -27,8 +27,6 @@ const GOAL_NAMES: [&str; 2] = ["bunny", "dragon"];
 /// Of the rate of one thread, with so many threads: 3.6 of 4.
 const SCALING: f64 = 0.9;
 const MAX_THREADS: usize = 4;
-/// Relative: distances that differ by no more are the same.
-const SAME_T: f32 = 1e-4;
 
 #[derive(Debug, Parser)]
 struct Arguments {
@@ -194,6 +192,7 @@ fn measure(
     let truth = entries[0].runner.answers();
     for (entry, time) in entries.iter().zip(&times) {
         let answers = entry.runner.answers();
+        let differences = Differences::between(&truth, &answers);
         report.row([
             scene.name.to_owned(),
             triangles.len().to_string(),
@@ -203,8 +202,8 @@ fn measure(
             format!("{:.2}", truth.len() as f64 / time * 1e-6),
             format!("{:.2}", time / times[0]),
             answers.iter().filter(|t| t.is_finite()).count().to_string(),
-            count(&truth, &answers, |a, b| a.is_finite() && b.is_finite() && (a - b).abs() > SAME_T * a.max(b)),
-            count(&truth, &answers, |a, b| a.is_finite() != b.is_finite()),
+            differences.distances.to_string(),
+            differences.verdicts.to_string(),
         ]);
     }
 
@@ -220,9 +219,4 @@ fn measure(
         report.goal(name, best / times[0], Target::AtLeast(target), "x");
     }
     times
-}
-
-/// How many answers of two differ in a way.
-fn count(ours: &[f32], theirs: &[f32], differ: impl Fn(f32, f32) -> bool) -> String {
-    ours.iter().zip(theirs).filter(|&(&a, &b)| differ(a, b)).count().to_string()
 }

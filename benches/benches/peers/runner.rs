@@ -7,7 +7,7 @@ use ropewalk::device::DeviceArrays;
 use ropewalk::device::layout::{Hit, NONE, Ray};
 use ropewalk::trace::{Cpu, Tracer as _};
 use ropewalk_bench::embree::{self, Batch};
-use ropewalk_bench::rays::RayKind;
+use ropewalk_bench::rays::{RayKind, any_answer, closest_answer};
 use ropewalk_bench::time;
 
 /// Traces a set of rays.
@@ -15,13 +15,8 @@ pub trait Runner {
     /// Traces all of them once and says how long it took.
     fn run(&mut self) -> Duration;
 
-    /// What the last run found, for each ray: the distance of the closest hit; 0 for any hit; infinity for none.
+    /// What the last run found, as [`closest_answer`] and [`any_answer`] have it.
     fn answers(&self) -> Vec<f32>;
-}
-
-/// How far along a ray, where only some peers say whether they met anything.
-pub fn any(is_hit: bool) -> f32 {
-    if is_hit { 0.0 } else { f32::INFINITY }
 }
 
 /// The executor `cpu`, in a thread pool.
@@ -55,9 +50,9 @@ impl Runner for Ropewalk<'_> {
 
     fn answers(&self) -> Vec<f32> {
         if self.kind.is_any_hit() {
-            return self.any.iter().copied().map(any).collect();
+            return self.any.iter().copied().map(any_answer).collect();
         }
-        self.closest.iter().map(|hit| if hit.instance == NONE { f32::INFINITY } else { hit.t }).collect()
+        self.closest.iter().map(closest_answer).collect()
     }
 }
 

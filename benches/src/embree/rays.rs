@@ -4,6 +4,8 @@ use std::ffi::{c_int, c_uint};
 
 use ropewalk::device::layout;
 
+use crate::rays::any_answer;
+
 const INVALID_GEOMETRY_ID: c_uint = c_uint::MAX;
 
 /// `RTCRay`.
@@ -112,7 +114,7 @@ fn closest(t_far: f32, geometry: c_uint) -> f32 {
 
 /// Embree sets `t_far` to minus infinity where a ray met something.
 fn any(t_far: f32) -> f32 {
-    if t_far < 0.0 { 0.0 } else { f32::INFINITY }
+    any_answer(t_far < 0.0)
 }
 
 impl From<&layout::Ray> for Ray {
