@@ -1,7 +1,7 @@
-//! What a ray does in each layout of the bottom level: counts, which no load on the machine changes.
+//! What a ray does in each layout of the hierarchies: counts, which no load on the machine changes.
 //!
-//! Replicas walk the shipped builder's hierarchies (see `ropewalk_bench::layouts`). Hits are checked against the executor
-//! `emulated`.
+//! Replicas walk the shipped builders' hierarchies (see `ropewalk_bench::layouts`). The top level is in the paper's layout, and
+//! where there is more than one instance also in the bottom level's. Hits are checked against the executor `emulated`.
 
 use std::process::ExitCode;
 
@@ -46,6 +46,7 @@ fn count_all(arguments: &Arguments) -> Result<Report> {
         "scene",
         "rays",
         "layout",
+        "top level",
         "nodes a ray",
         "boxes a ray",
         "triangles a ray",
@@ -67,14 +68,19 @@ fn count_all(arguments: &Arguments) -> Result<Report> {
 
 fn count(scene: &BenchScene, kinds: &[RayKind], quick: bool, report: &mut Report) -> Result<()> {
     let sets = RaySets::new(scene)?;
-    let layouts = Layout::ALL.map(|layout| (layout, LayoutScene::new(scene.arrays(), layout)));
+    let mut rows = Vec::new();
+    for layout in Layout::ALL {
+        rows.push((layout, "rope", LayoutScene::new(scene.arrays(), Layout::Rope, layout)?));
+        if scene.arrays().tlas_nodes.len() > 1 && ![Layout::Paper, Layout::Rope].contains(&layout) {
+            rows.push((layout, "same", LayoutScene::new(scene.arrays(), layout, layout)?));
+        }
+    }
     for &kind in kinds {
         let groups = sets.of(kind).chunks(GROUP).step_by(if quick { QUICK_SHARE } else { 1 });
         let rays: Vec<_> = groups.flatten().copied().collect();
         let truth = true_answers(scene, &rays, kind)?;
         let a_ray = |count: u64| count as f64 / rays.len() as f64;
-        for (layout, laid_out) in &layouts {
-            let laid_out = laid_out.as_ref().map_err(ToString::to_string)?;
+        for (layout, top, laid_out) in &rows {
             let (answers, totals) = laid_out.trace(&rays, kind.is_any_hit());
             let differences = Differences::between(&truth, &answers);
             let counts = totals.counts;
@@ -82,6 +88,7 @@ fn count(scene: &BenchScene, kinds: &[RayKind], quick: bool, report: &mut Report
                 scene.name.to_owned(),
                 kind.name().to_owned(),
                 layout.name().to_owned(),
+                (*top).to_owned(),
                 format!("{:.2}", a_ray(counts.nodes)),
                 format!("{:.2}", a_ray(counts.boxes)),
                 format!("{:.2}", a_ray(counts.triangles)),

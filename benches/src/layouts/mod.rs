@@ -1,7 +1,6 @@
-//! Ways to lay out a bottom-level structure, as replicas that count what a ray does in each: simple, scalar, not fast.
+//! Ways to lay out a hierarchy, as replicas that count what a ray does in each: simple, scalar, not fast.
 //!
-//! The boxes and leaves are those of Ropewalk's own builder; layouts differ in what a node holds and in the order of the walk.
-//! The top level is the same in all: ropes in one fixed order, one instance a leaf.
+//! The boxes and leaves are those of Ropewalk's own builders; layouts differ in what a node holds and in the order of the walk.
 
 mod pair;
 mod rope;

@@ -13,9 +13,11 @@ use super::{Counts, Layout, SlabRay, Tree, Walk};
 use crate::Result;
 use crate::scenes::leaves;
 
-/// A scene with its bottom-level structures in some layout.
+/// A scene with its hierarchies in some layout.
 pub struct LayoutScene<'a> {
     arrays: &'a DeviceArrays,
+    /// Its leaves are instances.
+    top: Box<dyn Walk>,
     /// By where the structure's nodes start in the device array.
     structures: BTreeMap<u32, Structure>,
 }
@@ -37,15 +39,15 @@ pub struct Totals {
 /// Threads of a GPU that step together.
 const LANES: usize = 32;
 const INSTANCE_BYTES: u64 = 128;
-const TOP_NODE_BYTES: usize = 32;
 const TRIANGLE_BYTES: u64 = 48;
 
 impl<'a> LayoutScene<'a> {
-    /// Lays out every bottom-level structure of the arrays.
+    /// Lays out the top level and every bottom-level structure of the arrays.
     ///
     /// # Errors
     /// As [`Blas::build`].
-    pub fn new(arrays: &'a DeviceArrays, layout: Layout) -> Result<Self> {
+    pub fn new(arrays: &'a DeviceArrays, top: Layout, layout: Layout) -> Result<Self> {
+        let top = top.lay_out(&Tree::new(&arrays.tlas_nodes));
         let mut structures = BTreeMap::new();
         for instance in leaves(&arrays.tlas_nodes).map(|(first, _)| &arrays.instances[first]) {
             if structures.contains_key(&instance.first_node) {
@@ -60,7 +62,7 @@ impl<'a> LayoutScene<'a> {
             };
             structures.insert(instance.first_node, Structure { walk: layout.lay_out(&tree), triangles });
         }
-        Ok(Self { arrays, structures })
+        Ok(Self { arrays, top, structures })
     }
 
     /// Bytes of the bottom-level nodes, for each of their triangles.
@@ -102,21 +104,14 @@ impl<'a> LayoutScene<'a> {
     fn trace_ray(&self, ray: &Ray, is_any_hit: bool, counts: &mut Counts) -> f32 {
         let [origin, direction] = [ray.origin, ray.direction].map(Vec3::from_array);
         let world = SlabRay::new(origin, direction);
-        let mut t_max = ray.t_max;
-        let mut index = 0;
-        while let Some(node) = self.arrays.tlas_nodes.get(index as usize) {
-            counts.fetch(TOP_NODE_BYTES, 1);
-            let aabb = [node.min, node.max].map(Vec3::from_array);
-            let is_met = world.enter(aabb, t_max).is_some();
-            index = if is_met && node.primitives.count() == 0 { index + 1 } else { node.escape_index };
-            if is_met && node.primitives.count() > 0 {
-                let instance = &self.arrays.instances[node.primitives.first() as usize];
-                counts.bytes += INSTANCE_BYTES;
-                t_max = self.trace_instance(instance, origin, direction, t_max, is_any_hit, counts);
-                if t_max < 0.0 {
-                    return 0.0;
-                }
-            }
+        let mut leaf = |instance: u32, _: u32, t_max: f32, counts: &mut Counts| {
+            let instance = &self.arrays.instances[instance as usize];
+            counts.bytes += INSTANCE_BYTES;
+            self.trace_instance(instance, origin, direction, t_max, is_any_hit, counts)
+        };
+        let t_max = self.top.walk(&world, ray.t_max, counts, &mut leaf);
+        if t_max < 0.0 {
+            return 0.0;
         }
         if is_any_hit || t_max == ray.t_max { f32::INFINITY } else { t_max }
     }
