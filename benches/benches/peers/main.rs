@@ -4,6 +4,8 @@
 //! them the second. Every material is opaque and has two sides. Rays are laid out for each as it takes them before the clock
 //! starts.
 
+mod crates;
+mod embree;
 mod runner;
 
 use std::process::ExitCode;
@@ -12,12 +14,14 @@ use clap::Parser;
 use glam::Vec3;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use ropewalk::device::layout::Ray;
-use ropewalk_bench::embree::{Any1, Any16, Closest1, Closest16, Embree, Quality, Scene};
+use ropewalk_bench::embree::Embree;
 use ropewalk_bench::rays::{Differences, RayKind, RaySets};
 use ropewalk_bench::scenes::{BenchScene, Recipe, SCENES};
 use ropewalk_bench::{Contender, Options, Report, Result, Target, medians};
 
-use runner::{Ropewalk, Runner};
+use crates::{Bvh, Obvhs, Parry};
+use embree::Embree4;
+use runner::{Entry, Peer, Role, Ropewalk};
 
 /// The scenes of this benchmark: those that peers can hold without instances.
 const NAMES: [&str; 5] = ["bunny", "dragon-res2", "dragon", "sponza", "kitchen"];
@@ -70,13 +74,13 @@ fn measure_all(arguments: &Arguments) -> Result<Report> {
     for recipe in SCENES.iter().filter(is_wanted) {
         let scene = recipe.load()?;
         let triangles = scene.triangles();
-        let peers = Peers::build(&embree, &triangles)?;
+        let peers = build_peers(&embree, &triangles)?;
         let sets = RaySets::new(&scene)?;
         let mut scaling = [0.0; 2];
         for &kind in kinds {
             let rays = sets.of(kind);
-            let mut entries = peers.entries(rays, kind);
-            entries.splice(0..0, ours(&scene, rays, kind, &pools));
+            let mut entries = Vec::from(ours(&scene, rays, kind, &pools));
+            entries.extend(peers.iter().flat_map(|peer| peer.entries(rays, kind)));
             let times = measure(&scene, &triangles, kind, entries, arguments, &mut report);
             scaling[0] += times[0];
             scaling[1] += times[1];
@@ -89,25 +93,17 @@ fn measure_all(arguments: &Arguments) -> Result<Report> {
     Ok(report)
 }
 
+fn build_peers<'a>(embree: &'a Embree, triangles: &[[Vec3; 3]]) -> Result<Vec<Box<dyn Peer + 'a>>> {
+    Ok(vec![
+        Box::new(Embree4::build(embree, triangles)?),
+        Box::new(Obvhs::build(triangles)),
+        Box::new(Bvh::build(triangles)),
+        Box::new(Parry::build(triangles)?),
+    ])
+}
+
 fn thread_pool(threads: usize) -> Result<ThreadPool> {
     Ok(ThreadPoolBuilder::new().num_threads(threads).build()?)
-}
-
-/// Who traces, and what a goal compares it as.
-struct Entry<'a> {
-    name: String,
-    role: Role,
-    runner: Box<dyn Runner + 'a>,
-}
-
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Role {
-    Ours,
-    /// Embree as it comes, a ray at a time.
-    Embree1,
-    /// The same, 16 at a time.
-    Embree16,
-    Other,
 }
 
 fn ours<'a>(scene: &'a BenchScene, rays: &'a [Ray], kind: RayKind, pools: &'a [ThreadPool; 2]) -> [Entry<'a>; 2] {
@@ -116,61 +112,6 @@ fn ours<'a>(scene: &'a BenchScene, rays: &'a [Ray], kind: RayKind, pools: &'a [T
         let name = if threads == 1 { "ropewalk".to_owned() } else { format!("ropewalk, {threads} threads") };
         Entry { name, role, runner: Box::new(Ropewalk::new(scene.arrays(), rays, kind, pool)) }
     })
-}
-
-/// What peers have built over one scene.
-struct Peers<'a> {
-    embree: [Scene<'a>; 3],
-}
-
-impl<'a> Peers<'a> {
-    fn build(embree: &'a Embree, triangles: &[[Vec3; 3]]) -> Result<Self> {
-        let embree = [
-            embree.scene(triangles, Quality::Medium, false)?,
-            embree.scene(triangles, Quality::High, false)?,
-            embree.scene(triangles, Quality::Medium, true)?,
-        ];
-        Ok(Self { embree })
-    }
-
-    fn entries<'b>(&'b self, rays: &'b [Ray], kind: RayKind) -> Vec<Entry<'b>> {
-        let [medium, high, robust] = &self.embree;
-        let best = kind.is_coherent();
-        vec![
-            embree_1("", Role::Embree1, medium, rays, kind),
-            embree_16("", Role::Embree16, medium, rays, kind, false),
-            embree_16(", coherent", Role::Embree16, medium, rays, kind, true),
-            embree_1(", high quality", Role::Other, high, rays, kind),
-            embree_16(", high quality", Role::Other, high, rays, kind, best),
-            embree_1(", robust", Role::Other, robust, rays, kind),
-            embree_16(", robust", Role::Other, robust, rays, kind, best),
-        ]
-    }
-}
-
-fn embree_1<'a>(how: &str, role: Role, scene: &'a Scene<'a>, rays: &'a [Ray], kind: RayKind) -> Entry<'a> {
-    if kind.is_any_hit() {
-        let runner = Box::new(runner::Embree::<Any1>::new(scene, rays, false));
-        return Entry { name: format!("Embree occluded1{how}"), role, runner };
-    }
-    let runner = Box::new(runner::Embree::<Closest1>::new(scene, rays, false));
-    Entry { name: format!("Embree intersect1{how}"), role, runner }
-}
-
-fn embree_16<'a>(
-    how: &str,
-    role: Role,
-    scene: &'a Scene<'a>,
-    rays: &'a [Ray],
-    kind: RayKind,
-    is_coherent: bool,
-) -> Entry<'a> {
-    if kind.is_any_hit() {
-        let runner = Box::new(runner::Embree::<Any16>::new(scene, rays, is_coherent));
-        return Entry { name: format!("Embree occluded16{how}"), role, runner };
-    }
-    let runner = Box::new(runner::Embree::<Closest16>::new(scene, rays, is_coherent));
-    Entry { name: format!("Embree intersect16{how}"), role, runner }
 }
 
 /// Adds a row for each, ours first, and the goals. Returns everybody's times, in seconds.

@@ -1,4 +1,4 @@
-//! Ropewalk and Embree, each tracing the same rays over and over.
+//! Who traces: Ropewalk, and what peers have in common.
 
 use std::time::Duration;
 
@@ -6,7 +6,6 @@ use rayon::ThreadPool;
 use ropewalk::device::DeviceArrays;
 use ropewalk::device::layout::{Hit, NONE, Ray};
 use ropewalk::trace::{Cpu, Tracer as _};
-use ropewalk_bench::embree::{self, Batch};
 use ropewalk_bench::rays::{RayKind, any_answer, closest_answer};
 use ropewalk_bench::time;
 
@@ -17,6 +16,57 @@ pub trait Runner {
 
     /// What the last run found, as [`closest_answer`] and [`any_answer`] have it.
     fn answers(&self) -> Vec<f32>;
+}
+
+/// Who traces, and what a goal compares it as.
+pub struct Entry<'a> {
+    pub name: String,
+    pub role: Role,
+    pub runner: Box<dyn Runner + 'a>,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Role {
+    Ours,
+    /// Embree as it comes, a ray at a time.
+    Embree1,
+    /// The same, 16 at a time.
+    Embree16,
+    Other,
+}
+
+/// Somebody else's structure over a scene.
+pub trait Peer {
+    /// The ways to trace rays with it.
+    fn entries<'a>(&'a self, rays: &'a [Ray], kind: RayKind) -> Vec<Entry<'a>>;
+}
+
+/// A peer that is asked for one ray after the other.
+pub struct RayByRay<T, F> {
+    rays: Vec<T>,
+    trace: F,
+    answers: Vec<f32>,
+}
+
+impl<T, F: Fn(&T) -> f32> RayByRay<T, F> {
+    /// Rays as the peer takes them, and how it finds the answer to one.
+    pub fn new(rays: Vec<T>, trace: F) -> Self {
+        Self { answers: vec![0.0; rays.len()], rays, trace }
+    }
+}
+
+impl<T, F: Fn(&T) -> f32> Runner for RayByRay<T, F> {
+    fn run(&mut self) -> Duration {
+        time(|| {
+            for (ray, answer) in self.rays.iter().zip(&mut self.answers) {
+                *answer = (self.trace)(ray);
+            }
+        })
+    }
+
+    fn answers(&self) -> Vec<f32> {
+        self.answers.clone()
+    }
 }
 
 /// The executor `cpu`, in a thread pool.
@@ -53,30 +103,5 @@ impl Runner for Ropewalk<'_> {
             return self.any.iter().copied().map(any_answer).collect();
         }
         self.closest.iter().map(closest_answer).collect()
-    }
-}
-
-/// One of Embree's functions.
-pub struct Embree<'a, B> {
-    scene: &'a embree::Scene<'a>,
-    rays: &'a [Ray],
-    is_coherent: bool,
-    batch: B,
-}
-
-impl<'a, B: Batch + Default> Embree<'a, B> {
-    pub fn new(scene: &'a embree::Scene<'a>, rays: &'a [Ray], is_coherent: bool) -> Self {
-        Self { scene, rays, is_coherent, batch: B::default() }
-    }
-}
-
-impl<B: Batch> Runner for Embree<'_, B> {
-    fn run(&mut self) -> Duration {
-        self.batch.write(self.rays);
-        time(|| self.batch.trace(self.scene, self.is_coherent))
-    }
-
-    fn answers(&self) -> Vec<f32> {
-        self.batch.answers()
     }
 }

@@ -11,6 +11,7 @@ use ropewalk::device::layout::{Instance, NONE, Node, Ray, Triangle};
 
 use super::{Counts, Layout, SlabRay, Tree, Walk};
 use crate::Result;
+use crate::rays::meet;
 use crate::scenes::leaves;
 
 /// A scene with its hierarchies in some layout.
@@ -130,11 +131,13 @@ impl<'a> LayoutScene<'a> {
         let turn = |v: Vec3| Vec3::from_array(rows.map(|[x, y, z, _]| Vec3::new(x, y, z).dot(v)));
         let origin = turn(origin) + Vec3::from_array(rows.map(|row| row[3]));
         let direction = turn(direction);
+        let local = Ray { origin: origin.to_array(), t_min: 0.0, direction: direction.to_array(), t_max };
         let mut leaf = |first: u32, count: u32, mut t_max: f32, counts: &mut Counts| {
             for triangle in &structure.triangles[first as usize..][..count as usize] {
                 counts.triangles += 1;
                 counts.bytes += TRIANGLE_BYTES;
-                if let Some(t) = meet(origin, direction, triangle, t_max) {
+                let corners = [triangle.v0, triangle.v1, triangle.v2].map(Vec3::from_array);
+                if let Some(t) = meet(&local, &corners, t_max) {
                     t_max = if is_any_hit { -1.0 } else { t };
                     if is_any_hit {
                         break;
@@ -164,18 +167,4 @@ fn geometry(triangles: &[Triangle]) -> Geometry {
     let positions: Vec<Vec3> = once.flat_map(|t| [t.v0, t.v1, t.v2].map(Vec3::from_array)).collect();
     let indices: Vec<[u32; 3]> = (0..positions.len() as u32 / 3).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
     Geometry::new(positions, indices)
-}
-
-/// Möller and Trumbore's test, up to `t_max`.
-fn meet(origin: Vec3, direction: Vec3, triangle: &Triangle, t_max: f32) -> Option<f32> {
-    let [v0, v1, v2] = [triangle.v0, triangle.v1, triangle.v2].map(Vec3::from_array);
-    let (edge_1, edge_2) = (v1 - v0, v2 - v0);
-    let p = direction.cross(edge_2);
-    let scale = edge_1.dot(p).recip();
-    let to_origin = origin - v0;
-    let u = to_origin.dot(p) * scale;
-    let q = to_origin.cross(edge_1);
-    let v = direction.dot(q) * scale;
-    let t = edge_2.dot(q) * scale;
-    (u >= 0.0 && v >= 0.0 && u + v <= 1.0 && t >= 0.0 && t < t_max).then_some(t)
 }
