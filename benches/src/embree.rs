@@ -97,8 +97,6 @@ pub enum Quality {
 pub struct Embree {
     functions: Functions,
     device: Pointer,
-    // After what they hold.
-    _libraries: [Library; 2],
 }
 
 impl Embree {
@@ -126,7 +124,9 @@ impl Embree {
             let error = unsafe { (functions.rtcGetDeviceError)(null_mut()) };
             return Err(format!("Embree gives no device: error {error}").into());
         }
-        Ok(Self { functions, device, _libraries: [embree, tbb] })
+        // Their threads outlive the device: they stay in memory.
+        std::mem::forget([embree, tbb]);
+        Ok(Self { functions, device })
     }
 
     /// Builds a scene of one geometry.
