@@ -6,6 +6,8 @@
 
 mod crates;
 mod embree;
+#[cfg(feature = "embree3")]
+mod embree3;
 mod runner;
 
 use std::process::ExitCode;
@@ -96,6 +98,8 @@ fn measure_all(arguments: &Arguments) -> Result<Report> {
 fn build_peers<'a>(embree: &'a Embree, triangles: &[[Vec3; 3]]) -> Result<Vec<Box<dyn Peer + 'a>>> {
     Ok(vec![
         Box::new(Embree4::build(embree, triangles)?),
+        #[cfg(feature = "embree3")]
+        Box::new(embree3::Embree3::build(triangles)?),
         Box::new(Obvhs::build(triangles)),
         Box::new(Bvh::build(triangles)),
         Box::new(Parry::build(triangles)?),
