@@ -6,7 +6,7 @@
 use std::process::ExitCode;
 
 use clap::Parser;
-use ropewalk_bench::layouts::{Layout, LayoutScene};
+use ropewalk_bench::layouts::{Layout, LayoutScene, paper_arrays};
 use ropewalk_bench::rays::{Differences, RayKind, RaySets, true_answers};
 use ropewalk_bench::scenes::{BenchScene, SCENES};
 use ropewalk_bench::{Options, Report, Result};
@@ -68,11 +68,13 @@ fn count_all(arguments: &Arguments) -> Result<Report> {
 
 fn count(scene: &BenchScene, kinds: &[RayKind], quick: bool, report: &mut Report) -> Result<()> {
     let sets = RaySets::new(scene)?;
-    let mut rows = Vec::new();
+    let paper = paper_arrays(scene.arrays())?;
+    let mut rows =
+        vec![("paper: rope, 1 triangle a leaf", "rope", LayoutScene::new(&paper, Layout::Rope, Layout::Rope))];
     for layout in Layout::ALL {
-        rows.push((layout, "rope", LayoutScene::new(scene.arrays(), Layout::Rope, layout)?));
-        if scene.arrays().tlas_nodes.len() > 1 && ![Layout::Paper, Layout::Rope].contains(&layout) {
-            rows.push((layout, "same", LayoutScene::new(scene.arrays(), layout, layout)?));
+        rows.push((layout.name(), "rope", LayoutScene::new(scene.arrays(), Layout::Rope, layout)));
+        if scene.arrays().tlas_nodes.len() > 1 && layout != Layout::Rope {
+            rows.push((layout.name(), "same", LayoutScene::new(scene.arrays(), layout, layout)));
         }
     }
     for &kind in kinds {
@@ -87,7 +89,7 @@ fn count(scene: &BenchScene, kinds: &[RayKind], quick: bool, report: &mut Report
             report.row([
                 scene.name.to_owned(),
                 kind.name().to_owned(),
-                layout.name().to_owned(),
+                (*layout).to_owned(),
                 (*top).to_owned(),
                 format!("{:.2}", a_ray(counts.nodes)),
                 format!("{:.2}", a_ray(counts.boxes)),

@@ -6,6 +6,7 @@
 pub mod embree;
 pub mod layouts;
 pub mod rays;
+pub mod runner;
 pub mod scenes;
 
 use std::path::PathBuf;

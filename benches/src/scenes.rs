@@ -101,6 +101,7 @@ pub struct BenchScene {
     pub name: &'static str,
     /// Holds the device arrays.
     pub compiler: Compiler,
+    triangle_count: u64,
     /// What is seen of it.
     pub view: View,
     /// Where its light is.
@@ -111,6 +112,11 @@ impl BenchScene {
     /// The device arrays.
     pub fn arrays(&self) -> &DeviceArrays {
         self.compiler.arrays()
+    }
+
+    /// Triangles, those of a geometry as often as it is shown.
+    pub fn triangle_count(&self) -> u64 {
+        self.triangle_count
     }
 
     /// The corners of the triangle that was hit.
@@ -182,7 +188,8 @@ impl Recipe {
         compiler.compile(&mut scene, view.observer())?;
         view.world_from_view.translation -= compiler.origin();
         let light = (light - compiler.origin()).as_vec3();
-        Ok(BenchScene { name: self.name, compiler, view, light })
+        let triangle_count = scene.instanced_triangle_count();
+        Ok(BenchScene { name: self.name, compiler, triangle_count, view, light })
     }
 
     fn fill(&self, scene: &mut Scene) -> Result<()> {

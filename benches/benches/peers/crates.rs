@@ -14,8 +14,9 @@ use parry3d::shape::TriMesh;
 use ropewalk::device::layout::Ray;
 use ropewalk_bench::Result;
 use ropewalk_bench::rays::{RayKind, any_answer, meet};
+use ropewalk_bench::runner::Runner;
 
-use crate::runner::{Entry, Peer, RayByRay, Role, Runner};
+use crate::peer::{Entry, Peer, RayByRay, Role};
 
 fn entry<'a>(name: &str, runner: impl Runner + 'a) -> Entry<'a> {
     Entry { name: name.to_owned(), role: Role::Other, runner: Box::new(runner) }

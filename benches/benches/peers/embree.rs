@@ -6,9 +6,10 @@ use glam::Vec3;
 use ropewalk::device::layout::Ray;
 use ropewalk_bench::embree::{Any1, Any16, Batch, Closest1, Closest16, Embree, Quality, Scene};
 use ropewalk_bench::rays::RayKind;
+use ropewalk_bench::runner::Runner;
 use ropewalk_bench::{Result, time};
 
-use crate::runner::{Entry, Peer, Role, Runner};
+use crate::peer::{Entry, Peer, Role};
 
 /// Its scenes: as it comes, of high quality, and robust.
 pub struct Embree4<'a>([Scene<'a>; 3]);

@@ -7,9 +7,10 @@ use embree3::{BufferUsage, Device, Format, GeometryKind, IntersectContext, RayHi
 use glam::Vec3;
 use ropewalk::device::layout::Ray;
 use ropewalk_bench::rays::{RayKind, any_answer};
+use ropewalk_bench::runner::Runner;
 use ropewalk_bench::{Result, time};
 
-use crate::runner::{Entry, Peer, Role, Runner};
+use crate::peer::{Entry, Peer, Role};
 
 /// A scene of one geometry, as it comes.
 pub struct Embree3(Scene<'static>);

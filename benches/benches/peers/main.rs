@@ -8,7 +8,7 @@ mod crates;
 mod embree;
 #[cfg(feature = "embree3")]
 mod embree3;
-mod runner;
+mod peer;
 
 use std::process::ExitCode;
 
@@ -16,14 +16,16 @@ use clap::Parser;
 use glam::Vec3;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use ropewalk::device::layout::Ray;
+use ropewalk::trace::Cpu;
 use ropewalk_bench::embree::Embree;
 use ropewalk_bench::rays::{Differences, RayKind, RaySets};
+use ropewalk_bench::runner::Traced;
 use ropewalk_bench::scenes::{BenchScene, Recipe, SCENES};
 use ropewalk_bench::{Contender, Options, Report, Result, Target, medians};
 
 use crates::{Bvh, Obvhs, Parry};
 use embree::Embree4;
-use runner::{Entry, Peer, Role, Ropewalk};
+use peer::{Entry, Peer, Role};
 
 /// The scenes of this benchmark: those that peers can hold without instances.
 const NAMES: [&str; 5] = ["bunny", "dragon-res2", "dragon", "sponza", "kitchen"];
@@ -114,7 +116,7 @@ fn ours<'a>(scene: &'a BenchScene, rays: &'a [Ray], kind: RayKind, pools: &'a [T
     [(Role::Ours, &pools[0]), (Role::Other, &pools[1])].map(|(role, pool)| {
         let threads = pool.current_num_threads();
         let name = if threads == 1 { "ropewalk".to_owned() } else { format!("ropewalk, {threads} threads") };
-        Entry { name, role, runner: Box::new(Ropewalk::new(scene.arrays(), rays, kind, pool)) }
+        Entry { name, role, runner: Box::new(Traced::new(Cpu::default(), pool, scene.arrays(), rays, kind)) }
     })
 }
 

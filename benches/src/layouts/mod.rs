@@ -10,15 +10,13 @@ mod wide;
 
 use glam::Vec3;
 
-pub use scene::{LayoutScene, Totals};
+pub use scene::{LayoutScene, Totals, paper_arrays};
 pub use tree::{Tree, TreeNode};
 
 /// Which layout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Layout {
-    /// The paper's: ropes in one fixed order, one triangle a leaf. 32-byte nodes.
-    Paper,
-    /// The same with as many triangles a leaf as the builder likes.
+    /// The paper's: ropes in one fixed order. 32-byte nodes.
     Rope,
     /// The same without the inner nodes that cost more than they save.
     PrunedRope,
@@ -38,8 +36,7 @@ pub enum Layout {
 
 impl Layout {
     /// All of them, the paper's first.
-    pub const ALL: [Self; 9] = [
-        Self::Paper,
+    pub const ALL: [Self; 8] = [
         Self::Rope,
         Self::PrunedRope,
         Self::OctantRopes,
@@ -53,7 +50,6 @@ impl Layout {
     /// For tables.
     pub fn name(self) -> &'static str {
         match self {
-            Self::Paper => "paper: rope, 1 triangle a leaf",
             Self::Rope => "rope",
             Self::PrunedRope => "rope, pruned",
             Self::OctantRopes => "8 octant ropes",
@@ -67,7 +63,7 @@ impl Layout {
 
     fn lay_out(self, tree: &Tree) -> Box<dyn Walk> {
         match self {
-            Self::Paper | Self::Rope => Box::new(rope::Rope::new(tree, false)),
+            Self::Rope => Box::new(rope::Rope::new(tree, false)),
             Self::PrunedRope => Box::new(rope::Rope::new(tree, true)),
             Self::OctantRopes => Box::new(rope::OctantRopes::new(tree, false)),
             Self::PrunedOctantRopes => Box::new(rope::OctantRopes::new(tree, true)),

@@ -44,10 +44,7 @@ const TRIANGLE_BYTES: u64 = 48;
 
 impl<'a> LayoutScene<'a> {
     /// Lays out the top level and every bottom-level structure of the arrays.
-    ///
-    /// # Errors
-    /// As [`Blas::build`].
-    pub fn new(arrays: &'a DeviceArrays, top: Layout, layout: Layout) -> Result<Self> {
+    pub fn new(arrays: &'a DeviceArrays, top: Layout, layout: Layout) -> Self {
         let top = top.lay_out(&Tree::new(&arrays.tlas_nodes));
         let mut structures = BTreeMap::new();
         for instance in leaves(&arrays.tlas_nodes).map(|(first, _)| &arrays.instances[first]) {
@@ -55,15 +52,9 @@ impl<'a> LayoutScene<'a> {
                 continue;
             }
             let (nodes, triangles) = bottom_level(arrays, instance);
-            let (tree, triangles) = if layout == Layout::Paper {
-                let blas = Blas::build(&geometry(&triangles), &BuildParams::PAPER)?;
-                (Tree::new(&blas.nodes), blas.triangles)
-            } else {
-                (Tree::new(nodes), triangles)
-            };
-            structures.insert(instance.first_node, Structure { walk: layout.lay_out(&tree), triangles });
+            structures.insert(instance.first_node, Structure { walk: layout.lay_out(&Tree::new(nodes)), triangles });
         }
-        Ok(Self { arrays, top, structures })
+        Self { arrays, top, structures }
     }
 
     /// Bytes of the bottom-level nodes, for each of their triangles.
@@ -148,6 +139,36 @@ impl<'a> LayoutScene<'a> {
         };
         structure.walk.walk(&SlabRay::new(origin, direction), t_max, counts, &mut leaf)
     }
+}
+
+/// The same scene with bottom-level structures as the paper has them, one triangle a leaf: all that batches of rays need.
+///
+/// # Errors
+/// As [`Blas::build`].
+pub fn paper_arrays(arrays: &DeviceArrays) -> Result<DeviceArrays> {
+    let mut paper = DeviceArrays::default();
+    paper.tlas_nodes.replace(&arrays.tlas_nodes);
+    let (mut instances, mut nodes, mut triangles) = (arrays.instances.to_vec(), Vec::new(), Vec::new());
+    let mut starts = BTreeMap::new();
+    for (index, _) in leaves(&arrays.tlas_nodes) {
+        let instance = &mut instances[index];
+        let start = match starts.get(&instance.first_node) {
+            Some(&start) => start,
+            None => {
+                let start = (nodes.len() as u32, triangles.len() as u32);
+                let blas = Blas::build(&geometry(&bottom_level(arrays, instance).1), &BuildParams::PAPER)?;
+                nodes.extend(blas.nodes);
+                triangles.extend(blas.triangles);
+                starts.insert(instance.first_node, start);
+                start
+            }
+        };
+        (instance.first_node, instance.first_triangle) = start;
+    }
+    paper.instances.replace(&instances);
+    paper.blas_nodes.replace(&nodes);
+    paper.triangles.replace(&triangles);
+    Ok(paper)
 }
 
 /// The nodes and triangles of an instance's structure.
