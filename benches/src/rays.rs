@@ -207,3 +207,46 @@ impl Surface {
         tangent * (radius * angle.cos()) + bitangent * (radius * angle.sin()) + self.normal * (1.0 - share).sqrt()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::layouts::{Layout, LayoutScene, paper_arrays};
+    use crate::scenes::SCENES;
+
+    #[test]
+    fn differences_are_seen() {
+        let infinity = f32::INFINITY;
+        let ours = [1.0, 2.0, infinity, 0.0, infinity];
+        assert_eq!(Differences::between(&ours, &ours), Differences::default());
+        let theirs = [1.0 + 9e-5, 2.001, 5.0, infinity, infinity];
+        assert_eq!(Differences::between(&ours, &theirs), Differences { verdicts: 2, distances: 1 });
+        assert_eq!(Differences::between(&ours, &ours[..3]).verdicts, 2);
+    }
+
+    #[test]
+    fn layouts_find_what_the_kernel_finds() {
+        let scene = SCENES.iter().find(|recipe| recipe.name == "sphere").unwrap().load().unwrap();
+        let paper = paper_arrays(scene.arrays()).unwrap();
+        let sets = RaySets::new(&scene).unwrap();
+        for kind in RayKind::ALL {
+            let rays: Vec<Ray> = sets.of(kind).iter().step_by(7).copied().collect();
+            let truth = true_answers(&scene, &rays, kind).unwrap();
+            // Nothing outside of a sphere hides it from anything else outside.
+            let hit_share = truth.iter().filter(|t| t.is_finite()).count() as f64 / rays.len() as f64;
+            let expected = match kind {
+                RayKind::Primary => 0.42..0.44,
+                RayKind::Shadow => 0.35..0.37,
+                RayKind::Mirror | RayKind::Diffuse => 0.0..1e-9,
+            };
+            assert!(expected.contains(&hit_share), "{kind:?}: {hit_share}");
+            let mut scenes = vec![LayoutScene::new(&paper, Layout::Rope, Layout::Rope)];
+            scenes.extend(Layout::ALL.map(|layout| LayoutScene::new(scene.arrays(), layout, layout)));
+            for laid_out in scenes {
+                let (answers, totals) = laid_out.trace(&rays, kind.is_any_hit());
+                assert_eq!(Differences::between(&truth, &answers), Differences::default(), "{kind:?}");
+                assert!(totals.counts.nodes > 0 && (0.1..=1.0).contains(&totals.lockstep_efficiency));
+            }
+        }
+    }
+}
