@@ -48,7 +48,7 @@ fn next_leaf(t: ptr<function, Traversal>, t_max: f32) -> u32 {
         let in_instance = (*t).instance != NONE;
         var node: Node;
         if in_instance {
-            node = blas_nodes[(*t).first_node + (*t).index];
+            node = blas_node_at((*t).first_node + (*t).index);
         } else {
             node = tlas_nodes[(*t).index];
         }
@@ -80,9 +80,8 @@ fn enter_instance(t: ptr<function, Traversal>, index: u32) {
     (*t).instance = index;
     (*t).index = 0u;
     (*t).level = slab_ray(origin, direction);
-    let root_min = blas_nodes[(*t).first_node].min;
-    let root_max = blas_nodes[(*t).first_node].max;
-    let extent = max_component(max(max(abs(root_min), abs(root_max)), abs(origin)));
+    let root = blas_node_at((*t).first_node);
+    let extent = max_component(max(max(abs(root.min), abs(root.max)), abs(origin)));
     (*t).shear = shear_ray(origin, direction, extent);
 }
 
@@ -112,7 +111,7 @@ fn closest_hit(ray: Ray, ray_mask: u32) -> Hit {
         let first = t.first_triangle + leaf_first(leaf);
         let end = first + leaf_count(leaf);
         for (var i = first; i < end; i++) {
-            let triangle = triangles[i];
+            let triangle = triangle_at(i);
             let crossing = cross_triangle(t.shear, triangle);
             if !crossing.is_hit || crossing.t < ray.t_min || !is_closer(crossing.t, t.instance, triangle.primitive, hit) {
                 continue;
@@ -154,7 +153,7 @@ fn transmittance(ray: Ray, ray_mask: u32) -> vec3<f32> {
         let first = t.first_triangle + leaf_first(leaf);
         let end = first + leaf_count(leaf);
         for (var i = first; i < end; i++) {
-            let triangle = triangles[i];
+            let triangle = triangle_at(i);
             let crossing = cross_triangle(t.shear, triangle);
             if crossing.is_hit && crossing.t >= ray.t_min && crossing.t <= ray.t_max {
                 light *= passes_crossing(t.instance, t.flags, triangle, crossing);
@@ -178,7 +177,7 @@ fn any_hit(ray: Ray, ray_mask: u32) -> bool {
         let first = t.first_triangle + leaf_first(leaf);
         let end = first + leaf_count(leaf);
         for (var i = first; i < end; i++) {
-            let triangle = triangles[i];
+            let triangle = triangle_at(i);
             let crossing = cross_triangle(t.shear, triangle);
             if crossing.is_hit && crossing.t >= ray.t_min && crossing.t <= ray.t_max {
                 if max_component(passes_crossing(t.instance, t.flags, triangle, crossing)) <= 0.0 {

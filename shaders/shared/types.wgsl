@@ -142,7 +142,8 @@ struct Hit {
 struct RayBatch {
     count: u32,
     ray_mask: u32,
-    _pad: vec2<u32>,
+    first: u32,
+    _pad: u32,
 }
 
 @group(0) @binding(0) var<storage, read> tlas_nodes: array<Node>;

@@ -362,6 +362,8 @@ pub struct RayBatch {
     pub count: u32,
     /// Instances whose mask shares no bit with this are not hit.
     pub ray_mask: u32,
+    /// The first of them.
+    pub first: u32,
     /// Zero.
-    pub _pad: [u32; 2],
+    pub _pad: u32,
 }

@@ -1,7 +1,11 @@
 //! How fast each executor traces each kind of ray, and what a ray costs it.
 //!
 //! The first row of each block is the paper's own method: ropes in one fixed order, one triangle a leaf, one ray after the
-//! other. Counts are those of the replicas in `ropewalk_bench::layouts`.
+//! other. Counts are those of the replicas in `ropewalk_bench::layouts`. With the cargo feature `gpu` the executor `gpu` is measured
+//! too, where there is a GPU.
+
+#[cfg(feature = "gpu")]
+mod gpu;
 
 use std::process::ExitCode;
 use std::time::Duration;
@@ -68,7 +72,7 @@ fn measure_all(arguments: &Arguments) -> Result<Report> {
         let is_named = arguments.scene.iter().any(|name| name == recipe.name);
         let is_default = !arguments.options.quick || QUICK_NAMES.contains(&recipe.name);
         if is_named || arguments.scene.is_empty() && is_default {
-            measure_scene(&recipe.load()?, arguments, &pools, &mut report)?;
+            measure_scene(&mut recipe.load()?, arguments, &pools, &mut report)?;
         }
     }
     Ok(report)
@@ -82,7 +86,7 @@ struct Entry<'a> {
 }
 
 fn measure_scene(
-    scene: &BenchScene,
+    scene: &mut BenchScene,
     arguments: &Arguments,
     pools: &[ThreadPool; 2],
     report: &mut Report,
@@ -90,7 +94,11 @@ fn measure_scene(
     let kinds = if arguments.rays.is_empty() { &RayKind::ALL[..] } else { &arguments.rays };
     let samples = if arguments.options.quick { 3 } else { 7 };
     let sets = RaySets::new(scene)?;
-    let paper = paper_arrays(scene.arrays())?;
+    #[cfg_attr(not(feature = "gpu"), expect(unused_mut, reason = "for the upload"))]
+    let mut paper = paper_arrays(scene.arrays())?;
+    #[cfg(feature = "gpu")]
+    let gpus = open_gpus(&mut paper, scene);
+    let scene = &*scene;
     for &kind in kinds {
         let rays = sets.of(kind);
         let mut entries = vec![
@@ -98,6 +106,17 @@ fn measure_scene(
             emulated("emulated", &pools[0], scene.arrays(), rays, kind),
         ];
         entries.extend(pools.iter().map(|pool| cpu(pool, scene.arrays(), rays, kind)));
+        #[cfg(feature = "gpu")]
+        for (gpu, (arrays, how)) in
+            gpus.iter().zip([(&paper, "paper: gpu, 1 triangle a leaf"), (scene.arrays(), "gpu")])
+        {
+            let counts = counts(arrays, rays, kind);
+            if let Some(resident) = gpu.resident(rays, kind) {
+                entries.push(Entry { name: how.to_owned(), runner: Box::new(resident), counts });
+            }
+            let runner = Box::new(gpu.transferred(arrays, rays, kind));
+            entries.push(Entry { name: format!("{how}, with transfers"), runner, counts });
+        }
         let mut contenders: Vec<Contender> =
             entries.iter_mut().map(|entry| Box::new(|| entry.runner.run()) as Contender).collect();
         let times = medians(samples, &mut contenders);
@@ -117,9 +136,24 @@ fn emulated<'a>(
     rays: &'a [Ray],
     kind: RayKind,
 ) -> Entry<'a> {
-    let (_, counts) = LayoutScene::new(arrays, Layout::Rope, Layout::Rope).trace(rays, kind.is_any_hit());
     let runner = Box::new(Traced::new(Emulated::default(), pool, arrays, rays, kind));
-    Entry { name: name.to_owned(), runner, counts: Some(counts) }
+    Entry { name: name.to_owned(), runner, counts: counts(arrays, rays, kind) }
+}
+
+/// What the rays do in the arrays' ropes.
+fn counts(arrays: &DeviceArrays, rays: &[Ray], kind: RayKind) -> Option<Totals> {
+    Some(LayoutScene::new(arrays, Layout::Rope, Layout::Rope).trace(rays, kind.is_any_hit()).1)
+}
+
+/// The GPU with the paper's arrays, and with the shipped ones; none where there is no GPU, or one too small.
+#[cfg(feature = "gpu")]
+fn open_gpus(paper: &mut DeviceArrays, scene: &mut BenchScene) -> Vec<gpu::Gpu> {
+    let opened = gpu::Gpu::open(paper).and_then(|first| Ok(vec![first, gpu::Gpu::open(scene.compiler.arrays_mut())?]));
+    match &opened {
+        Ok(gpus) => println!("{}: gpu: {}", scene.name, gpus[0].name()),
+        Err(error) => println!("{}: gpu: skipped: {error}", scene.name),
+    }
+    opened.unwrap_or_default()
 }
 
 fn cpu<'a>(pool: &'a ThreadPool, arrays: &'a DeviceArrays, rays: &'a [Ray], kind: RayKind) -> Entry<'a> {
