@@ -9,8 +9,9 @@ use naga::proc::Layouter;
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 use ropewalk::compile::Needs;
 use ropewalk::device::layout::{
-    FrameParams, Hit, Instance, Light, Material, Node, Ray, RayBatch, Streams, TextureInfo, Triangle,
+    FrameParams, Hit, Instance, Light, Material, Node, Ray, RayBatch, Streams, TextureInfo, Triangle, WideNode,
 };
+use ropewalk::trace::Layout as Walked;
 use ropewalk::trace::shader::{EntryPoint, Include, Split, Splits, Variant};
 
 const TYPES: &str = include_str!("../shaders/shared/types.wgsl");
@@ -32,8 +33,9 @@ fn every_kernel_is_valid_whatever_is_needed() {
     let one_more_or_less = all.iter().flat_map(|flag| [flag, all - flag]);
     for needs in [Needs::empty(), all].into_iter().chain(one_more_or_less) {
         for entry in EntryPoint::ALL {
-            let splits = Splits { blas_nodes: Split::new(20, 10), triangles: Split::new(40, 10) };
-            parse(entry, Variant { needs, splits });
+            let splits = Splits { nodes: Split::new(20, 10), triangles: Split::new(40, 10) };
+            parse(entry, Variant { needs, layout: Walked::Rope, splits });
+            parse(entry, Variant { needs, layout: Walked::Rope, ..Variant::default() });
             let module = parse(entry, needs);
             assert!(module.entry_points.iter().any(|e| e.name == entry.name()), "{entry:?} is in its module");
         }
@@ -44,8 +46,14 @@ fn every_kernel_is_valid_whatever_is_needed() {
 fn includes() -> impl Iterator<Item = Include> {
     let all = Needs::all();
     let needs = [Needs::empty(), all].into_iter().chain(all.iter().flat_map(move |flag| [flag, all - flag]));
-    let split = Splits { blas_nodes: Split::new(20, 10), triangles: Split::new(40, 10) };
-    let variants = needs.flat_map(move |needs| [Splits::default(), split].map(|splits| Variant { needs, splits }));
+    let split = Splits { nodes: Split::new(20, 10), triangles: Split::new(40, 10) };
+    let bound = [
+        (Walked::Rope, split),
+        (Walked::Rope, Splits::default()),
+        (Walked::Wide, split),
+        (Walked::Wide, Splits::default()),
+    ];
+    let variants = needs.flat_map(move |needs| bound.map(|(layout, splits)| Variant { needs, layout, splits }));
     variants.flat_map(|variant| [false, true].map(|surfaces| Include { group: 3, surfaces, variant }))
 }
 
@@ -114,7 +122,16 @@ fn rust_layouts() -> BTreeMap<String, Layout> {
             flags,
             node
         }),
-        layout_of!(Streams { first_index, first_normal, first_tex_coord_0, first_tex_coord_1, first_color, _pad }),
+        layout_of!(Streams {
+            first_index,
+            first_normal,
+            first_tex_coord_0,
+            first_tex_coord_1,
+            first_color,
+            first_wide_node,
+            _pad
+        }),
+        layout_of!(WideNode { origin, exponents, planes, children }),
         layout_of!(Material {
             base_color,
             emissive,

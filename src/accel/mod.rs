@@ -18,6 +18,7 @@ mod support;
 mod top_level;
 mod tree;
 mod validate;
+mod wide;
 
 pub use blas::{Blas, BuildParams};
 pub use sah::MAX_DEPTH;
@@ -25,3 +26,4 @@ pub use stats::Stats;
 pub use support::Support;
 pub use top_level::{Rebuild, TopLevel, Update};
 pub use validate::StructureError;
+pub use wide::MAX_WIDE_DEPTH;

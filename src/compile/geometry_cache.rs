@@ -22,6 +22,7 @@ pub(super) struct GeometryCache {
     /// Of all entries.
     triangle_count: usize,
     nodes: Arena,
+    wide_nodes: Arena,
     triangles: Arena,
     streams: Arena,
     indices: Arena,
@@ -36,6 +37,7 @@ pub(super) struct Entry {
     version: u64,
     /// In `blas_nodes`; empty for a geometry that nothing can hit.
     pub(super) nodes: Range<u32>,
+    wide_nodes: Range<u32>,
     /// In `triangles`.
     pub(super) triangles: Range<u32>,
     /// In `geometries`.
@@ -80,6 +82,7 @@ impl GeometryCache {
             entries: SecondaryMap::new(),
             triangle_count: 0,
             nodes: Arena::new("the bottom-level nodes array"),
+            wide_nodes: Arena::new("the wide nodes array"),
             triangles: Arena::new("the triangles array"),
             streams: Arena::new("the geometries array"),
             indices: Arena::new("the vertex indices array"),
@@ -156,17 +159,20 @@ impl GeometryCache {
             geometry.colors.as_deref().unwrap_or_default().iter().map(|c| super::pack::color(*c)).collect();
         let colors = self.colors.store(&mut arrays.colors, &colors)?;
 
+        let wide_nodes = self.wide_nodes.store(&mut arrays.wide_nodes, &built.blas.wide_nodes)?;
         let streams = Streams {
             first_index: first_or_none(&indices),
             first_normal: first_or_none(&normals),
             first_tex_coord_0: first_or_none(&tex_coords[0]),
             first_tex_coord_1: first_or_none(&tex_coords[1]),
             first_color: first_or_none(&colors),
-            _pad: [0; 3],
+            first_wide_node: first_or_none(&wide_nodes),
+            _pad: [0; 2],
         };
         Ok(Entry {
             version,
             nodes: self.nodes.store(&mut arrays.blas_nodes, &built.blas.nodes)?,
+            wide_nodes,
             triangles: self.triangles.store(&mut arrays.triangles, &built.blas.triangles)?,
             streams: self.streams.store(&mut arrays.geometries, &[streams])?,
             indices,
@@ -184,6 +190,7 @@ impl GeometryCache {
         let Some(entry) = self.entries.remove(key) else { return };
         self.triangle_count -= entry.triangle_count;
         self.nodes.release(&mut arrays.blas_nodes, entry.nodes);
+        self.wide_nodes.release(&mut arrays.wide_nodes, entry.wide_nodes);
         self.triangles.release(&mut arrays.triangles, entry.triangles);
         self.streams.release(&mut arrays.geometries, entry.streams);
         self.indices.release(&mut arrays.indices, entry.indices);

@@ -5,12 +5,14 @@ mod emulated;
 #[cfg(feature = "gpu")]
 pub mod gpu;
 pub(crate) mod kernel;
+mod layout;
 mod planes;
 pub mod shader;
 
 pub use cpu::Cpu;
 pub use emulated::Emulated;
 pub(crate) use kernel::MAX_DEPTH;
+pub use layout::{Counts, Layout};
 
 use std::time::Duration;
 

@@ -3,8 +3,8 @@
 
 use glam::{DVec3, Vec3, Vec4};
 use ropewalk::image::Image;
-use ropewalk::trace::Cpu;
 use ropewalk::trace::gpu::GpuTracer;
+use ropewalk::trace::{Cpu, Layout};
 use ropewalk::{Camera, Core, Geometry, GeometryKey, Material, MaterialKey, NodeKey, Renderer, Scene, Transform, View};
 
 use crate::device::limited;
@@ -18,7 +18,10 @@ fn after_every_edit_the_gpu_shows_the_scene() {
 
 #[test]
 fn after_every_edit_it_does_where_nodes_and_triangles_are_split_too() {
-    after_every_edit(limited(|limits| limits.max_storage_buffer_binding_size = 8192), 40);
+    for layout in [Layout::Rope, Layout::Wide] {
+        let gpu = limited(|limits| limits.max_storage_buffer_binding_size = 8192);
+        after_every_edit(gpu.map(|gpu| gpu.with_layout(layout)), 30);
+    }
 }
 
 fn after_every_edit(gpu: Option<GpuTracer>, steps: u32) {

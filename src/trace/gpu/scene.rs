@@ -6,8 +6,10 @@ use bytemuck::Pod;
 
 use super::array::{ArrayBuffer, Contents, Copied};
 use super::context::Context;
+use crate::compile::Needs;
 use crate::device::{DeviceArrays, DeviceBuffer};
-use crate::trace::shader::{ARRAY_COUNT, Include, Split, Splits};
+use crate::trace::Layout;
+use crate::trace::shader::{ARRAY_COUNT, Include, Split, Splits, Variant};
 use crate::{Error, Result};
 
 /// What fails if an upload does.
@@ -16,12 +18,17 @@ pub(super) const DURING: &str = "the upload of the scene";
 /// Storage buffers that a kernel reads and writes: the arrays, and the rays and answers of a batch.
 pub(super) const STORAGE_BUFFERS: u32 = ARRAY_COUNT + 2;
 
+/// The array that depends on the layout.
+const NODES: usize = 2;
+
 /// Uniform buffers that it reads.
 const OTHER_BUFFERS: u32 = 1;
 
 /// The buffers of the scene's arrays, in the order of their bindings, and the bind group of them all.
 #[derive(Debug)]
 pub(super) struct SceneBuffers {
+    wanted: Layout,
+    walked: Layout,
     /// Of each array its parts: one, unless it is split.
     arrays: [Vec<Option<ArrayBuffer>>; ARRAY_COUNT as usize],
     splits: Splits,
@@ -31,9 +38,11 @@ pub(super) struct SceneBuffers {
 }
 
 impl SceneBuffers {
-    pub(super) fn new(context: &Context) -> Self {
+    pub(super) fn new(context: &Context, wanted: Layout) -> Self {
         let splits = Splits::default();
         Self {
+            wanted,
+            walked: wanted,
             arrays: Default::default(),
             splits,
             layout: layout(context, all_bindings(splits)),
@@ -42,9 +51,9 @@ impl SceneBuffers {
         }
     }
 
-    /// How the arrays are bound.
-    pub(super) fn splits(&self) -> Splits {
-        self.splits
+    /// The kernel that reads the arrays as they are bound.
+    pub(super) fn variant(&self, needs: Needs) -> Variant {
+        Variant { needs, layout: self.walked, splits: self.splits }
     }
 
     pub(super) fn layout(&self) -> &wgpu::BindGroupLayout {
@@ -71,7 +80,7 @@ impl SceneBuffers {
     /// [`Error::Gpu`] before the first upload, and where the arrays are bound as they were not when the shader was made.
     pub(super) fn bind_include(&self, context: &Context, include: &Include) -> Result<wgpu::BindGroup> {
         self.bind_group()?;
-        if include.variant.splits != self.splits {
+        if include.variant != self.variant(include.variant.needs) {
             let message = "the scene's arrays lie in other bindings now: make the shader anew".into();
             return Err(Error::Gpu { during: "binding the scene", message });
         }
@@ -108,9 +117,14 @@ impl SceneBuffers {
     /// Copies what changed and returns how many bytes did. Fails before anything is written if an array is too large for
     /// this device; after any other failure the next call copies everything.
     pub(super) fn upload(&mut self, context: &Context, arrays: &mut DeviceArrays) -> Result<u64> {
-        let mut sources = sources(arrays);
+        let walked = self.wanted.of(arrays);
+        let mut sources = sources(arrays, walked);
         let splits = plan(&sources, &context.limits)?;
         let outcome = context.scoped(DURING, || {
+            if walked != self.walked {
+                self.walked = walked;
+                self.arrays[NODES].clear();
+            }
             if splits != self.splits {
                 self.layout = layout(context, all_bindings(splits));
                 self.splits = splits;
@@ -134,7 +148,7 @@ impl SceneBuffers {
             Ok(bytes)
         });
         if outcome.is_err() {
-            *self = Self { bind_groups_made: self.bind_groups_made, ..Self::new(context) };
+            *self = Self { bind_groups_made: self.bind_groups_made, ..Self::new(context, self.wanted) };
         }
         outcome
     }
@@ -260,11 +274,22 @@ impl<T: Pod + PartialEq> Array for DeviceBuffer<T> {
 }
 
 /// All arrays in the order of their bindings in `shaders/shared/types.wgsl`.
-fn sources(arrays: &mut DeviceArrays) -> [Source<'_>; ARRAY_COUNT as usize] {
+fn sources(arrays: &mut DeviceArrays, layout: Layout) -> [Source<'_>; ARRAY_COUNT as usize] {
+    // What is not walked is not copied, and needs no list of what changed.
+    let nodes = match layout {
+        Layout::Rope => {
+            arrays.wide_nodes.take_dirty();
+            source("blas_nodes (bytes)", &mut arrays.blas_nodes)
+        }
+        Layout::Wide => {
+            arrays.blas_nodes.take_dirty();
+            source("wide_nodes (bytes)", &mut arrays.wide_nodes)
+        }
+    };
     [
         source("tlas_nodes (bytes)", &mut arrays.tlas_nodes),
         source("instances (bytes)", &mut arrays.instances),
-        Source { split: Some(|s| &mut s.blas_nodes), ..source("blas_nodes (bytes)", &mut arrays.blas_nodes) },
+        Source { split: Some(|s| &mut s.nodes), ..nodes },
         Source { split: Some(|s| &mut s.triangles), ..source("triangles (bytes)", &mut arrays.triangles) },
         source("geometries (bytes)", &mut arrays.geometries),
         source("indices (bytes)", &mut arrays.indices),
@@ -288,21 +313,26 @@ static ZEROS: [u8; 128] = [0; 128];
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::trace::shader::EntryPoint;
 
     /// The arrays are bound by position: each must stand where the shader declares it.
     #[test]
     fn arrays_are_in_the_order_of_the_shader() {
-        let module = naga::front::wgsl::parse_str(include_str!("../../../shaders/shared/types.wgsl")).unwrap();
-        let mut arrays = DeviceArrays::default();
-        let sources = sources(&mut arrays);
-        let mut compared = 0;
-        for (_, variable) in module.global_variables.iter() {
-            let binding = variable.binding.as_ref().unwrap();
-            assert_eq!(binding.group, 0);
-            let declared = format!("{} (bytes)", variable.name.as_deref().unwrap());
-            assert_eq!(sources[binding.binding as usize].what, declared);
-            compared += 1;
+        for layout in [Layout::Rope, Layout::Wide] {
+            let source = EntryPoint::ClosestHits.source(Variant { layout, ..Variant::default() });
+            let module = naga::front::wgsl::parse_str(&source).unwrap();
+            let mut arrays = DeviceArrays::default();
+            let sources = sources(&mut arrays, layout);
+            let mut compared = 0;
+            for (_, variable) in module.global_variables.iter() {
+                let binding = variable.binding.as_ref().unwrap();
+                if binding.group == 0 {
+                    let declared = format!("{} (bytes)", variable.name.as_deref().unwrap());
+                    assert_eq!(sources[binding.binding as usize].what, declared);
+                    compared += 1;
+                }
+            }
+            assert_eq!(compared, ARRAY_COUNT);
         }
-        assert_eq!(compared, ARRAY_COUNT);
     }
 }

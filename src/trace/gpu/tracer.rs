@@ -17,8 +17,8 @@ use crate::device::DeviceArrays;
 use crate::device::layout::{Hit, Ray};
 use crate::image::Image;
 use crate::trace::planes::Planes;
-use crate::trace::shader::{EntryPoint, Include, Variant};
-use crate::trace::{DeviceInfo, FrameRequest, Tracer};
+use crate::trace::shader::{EntryPoint, Include};
+use crate::trace::{DeviceInfo, FrameRequest, Layout, Tracer};
 use crate::{Error, Result};
 
 /// The kernel on a GPU.
@@ -69,7 +69,7 @@ impl GpuTracer {
         context
             .scoped("preparing the kernel", || {
                 let pipelines = Pipelines::new(frame::layout(&context), batch::layout(&context));
-                Ok((SceneBuffers::new(&context), pipelines, Timer::new(&context)))
+                Ok((SceneBuffers::new(&context, Layout::default()), pipelines, Timer::new(&context)))
             })
             .map(|(scene, pipelines, timer)| Self {
                 context,
@@ -80,6 +80,13 @@ impl GpuTracer {
                 empty: Some(Planes::default()),
                 batch: None,
             })
+    }
+
+    /// Walks the arrays in another way than by default: the hits are the same. Takes effect with the next upload, which copies all.
+    #[must_use]
+    pub fn with_layout(mut self, layout: Layout) -> Self {
+        self.scene = SceneBuffers::new(&self.context, layout);
+        self
     }
 
     /// The device that traces.
@@ -116,7 +123,7 @@ impl GpuTracer {
     /// the scene [was compiled to need](crate::compile::CompileReport::needs); more only costs. While the include stays equal,
     /// pipelines made from it serve.
     pub fn include(&self, group: u32, needs: Needs, surfaces: bool) -> Include {
-        Include { group, surfaces, variant: Variant { needs, splits: self.scene.splits() } }
+        Include { group, surfaces, variant: self.scene.variant(needs) }
     }
 
     /// The layout of the include's bind group, for the pipeline.
@@ -162,7 +169,7 @@ impl GpuTracer {
         if rays.count == 0 {
             return Ok(());
         }
-        let variant = Variant { needs: BATCH_NEEDS, splits: scene.splits() };
+        let variant = scene.variant(BATCH_NEEDS);
         let (pipeline, _) = pipelines.pipeline(context, scene.layout(), entry_point, variant)?;
         context.scoped(batch::DURING, || {
             rays.record(context, pipelines.batch_layout(), encoder, &pipeline, bound, answer_size);
@@ -176,7 +183,7 @@ impl GpuTracer {
         if rays.is_empty() {
             return Ok(Vec::new());
         }
-        let variant = Variant { needs: BATCH_NEEDS, splits: scene.splits() };
+        let variant = scene.variant(BATCH_NEEDS);
         let (pipeline, _) = pipelines.pipeline(context, scene.layout(), entry_point, variant)?;
         let last = batch.take().filter(|batch| batch.serves(context, rays.len()));
         let (used, answers) = context.scoped(batch::DURING, || {
@@ -212,7 +219,7 @@ impl Tracer for GpuTracer {
             return Ok(());
         }
         let entry_point = if request.aovs { EntryPoint::RenderAovs } else { EntryPoint::Render };
-        let variant = Variant { needs: request.needs, splits: scene.splits() };
+        let variant = scene.variant(request.needs);
         let (pipeline, is_new) = pipelines.pipeline(context, scene.layout(), entry_point, variant)?;
         self.empty = None;
         let last = self.frame.take().filter(|frame| frame.serves(size, request.aovs));

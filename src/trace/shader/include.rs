@@ -1,7 +1,8 @@
 //! The kernel's queries as text for an application's own compute shader.
 
-use super::{ARRAY_COUNT, MATERIALS, OPAQUE, SCENE, SURFACES, Variant};
+use super::{ARRAY_COUNT, MATERIALS, OPAQUE, SURFACES, Variant};
 use crate::compile::Needs;
+use crate::trace::Layout;
 
 /// WGSL with which a compute shader of the application's traces rays through the scene, and what it binds for that.
 ///
@@ -32,6 +33,8 @@ pub struct Include {
 
 /// The bindings that rays need: both levels, instances and triangles.
 const FOR_HITS: [u32; 4] = [0, 1, 2, 3];
+/// Of the geometries, which say where wide nodes start.
+const GEOMETRIES: u32 = 4;
 /// Of the lights, which no query asks for.
 const LIGHTS: u32 = 12;
 
@@ -40,7 +43,8 @@ impl Include {
     pub fn source(&self) -> String {
         let materials = if self.asks_materials() { &MATERIALS[..] } else { &OPAQUE[..] };
         let surfaces = if self.surfaces { &SURFACES[..] } else { &[] };
-        let source = self.variant.preamble() + &[&SCENE[..], materials, surfaces].concat().concat();
+        let source =
+            self.variant.preamble() + &[&self.variant.scene_files()[..], materials, surfaces].concat().concat();
         source.replace("@group(0)", &format!("@group({})", self.group))
     }
 
@@ -48,6 +52,7 @@ impl Include {
     pub fn bindings(&self) -> Vec<u32> {
         let arrays = (0..ARRAY_COUNT).filter(|binding| match *binding {
             LIGHTS => false,
+            GEOMETRIES if self.variant.layout == Layout::Wide => true,
             other => self.asks_materials() || FOR_HITS.contains(&other),
         });
         arrays.chain(ARRAY_COUNT..ARRAY_COUNT + self.variant.splits.more_bindings()).collect()

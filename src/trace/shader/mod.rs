@@ -9,6 +9,7 @@ pub use include::Include;
 pub(crate) use splits::ARRAY_COUNT;
 pub use splits::{Split, Splits};
 
+use super::Layout;
 use crate::compile::{MAX_MIRROR_ROUGHNESS, Needs};
 
 /// The kernels.
@@ -29,6 +30,8 @@ pub enum EntryPoint {
 pub struct Variant {
     /// What it can do.
     pub needs: Needs,
+    /// What it walks.
+    pub layout: Layout,
     /// How the arrays are bound.
     pub splits: Splits,
 }
@@ -40,6 +43,16 @@ impl From<Needs> for Variant {
 }
 
 impl Variant {
+    /// The files by which the scene is walked.
+    fn scene_files(&self) -> [&'static str; 5] {
+        let walk = match self.layout {
+            Layout::Rope => include_str!("../../../shaders/shared/rope.wgsl"),
+            Layout::Wide => include_str!("../../../shaders/shared/wide.wgsl"),
+        };
+        let [types, math, intersect, traverse] = SCENE;
+        [types, math, intersect, walk, traverse]
+    }
+
     /// What all files rely on: a constant for each flag of [`Needs`], `NEEDS_TEXTURES` for example (the driver's compiler drops
     /// what none needs), and the functions that read arrays.
     fn preamble(&self) -> String {
@@ -50,11 +63,11 @@ impl Variant {
         }
         // A float literal needs its point in WGSL: `{:?}` writes it.
         let _ = writeln!(source, "const MAX_MIRROR_ROUGHNESS: f32 = {MAX_MIRROR_ROUGHNESS:?};");
-        source + &self.splits.source()
+        source + &self.splits.source(self.layout)
     }
 }
 
-/// Files of every kernel: the scene, and how rays go through it.
+/// Files of every kernel: the scene, and what rays ask of it.
 const SCENE: [&str; 4] = [
     include_str!("../../../shaders/shared/types.wgsl"),
     include_str!("../../../shaders/shared/math.wgsl"),
@@ -102,8 +115,9 @@ impl EntryPoint {
             Self::Render | Self::RenderAovs => [&SURFACES[..], &SHADING[..]].concat(),
             Self::ClosestHits | Self::AnyHits => Vec::new(),
         };
-        let files = [&SCENE[..], &MATERIALS[..], &shading, &[self.file()]].concat();
-        variant.into().preamble() + &files.concat()
+        let variant = variant.into();
+        let files = [&variant.scene_files()[..], &MATERIALS[..], &shading, &[self.file()]].concat();
+        variant.preamble() + &files.concat()
     }
 
     fn file(self) -> &'static str {

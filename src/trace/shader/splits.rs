@@ -2,6 +2,8 @@
 
 use std::fmt::Write as _;
 
+use crate::trace::Layout;
+
 /// How many bindings the arrays of a scene take where none is split: those of `types.wgsl`.
 pub(crate) const ARRAY_COUNT: u32 = 13;
 
@@ -42,8 +44,8 @@ impl Split {
 /// How the arrays that can be split are. Those of a scene that fits its bindings are not, and its kernel is no slower for it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Splits {
-    /// Of `blas_nodes`.
-    pub blas_nodes: Split,
+    /// Of `blas_nodes` or `wide_nodes`, whichever are bound.
+    pub nodes: Split,
     /// Of `triangles`.
     pub triangles: Split,
 }
@@ -51,46 +53,57 @@ pub struct Splits {
 impl Splits {
     /// Bindings beyond the [`ARRAY_COUNT`].
     pub(crate) fn more_bindings(&self) -> u32 {
-        self.blas_nodes.more + self.triangles.more
+        self.nodes.more + self.triangles.more
     }
 
-    /// Declares the parts and the functions by which the kernel reads the arrays. Parts after the first are bound after all
-    /// arrays, in the order of the members.
-    pub(super) fn source(&self) -> String {
+    /// Declares the arrays that can be split, their parts, and the functions by which the kernel reads them. Parts after the
+    /// first are bound after all arrays, in the order of the members.
+    pub(super) fn source(&self, layout: Layout) -> String {
         let mut source = String::new();
-        let mut binding = ARRAY_COUNT;
-        for (split, array, element, accessor) in [
-            (self.blas_nodes, "blas_nodes", "Node", "blas_node_at"),
-            (self.triangles, "triangles", "Triangle", "triangle_at"),
-        ] {
-            // Writing to a string cannot fail.
-            let _ = split.declare(&mut source, &mut binding, [array, element, accessor]);
+        let element = ("i: u32", "");
+        let child = ("i: u32, child: u32", ".children[child]");
+        let nodes = ARRAY_COUNT;
+        let triangles = nodes + self.nodes.more;
+        match layout {
+            Layout::Rope => {
+                self.nodes.declare(&mut source, [2, nodes], "blas_nodes", "Node");
+                self.nodes.read(&mut source, "blas_nodes", "blas_node_at", "Node", element);
+            }
+            Layout::Wide => {
+                self.nodes.declare(&mut source, [2, nodes], "wide_nodes", "WideNode");
+                self.nodes.read(&mut source, "wide_nodes", "wide_node_at", "WideNode", element);
+                self.nodes.read(&mut source, "wide_nodes", "wide_child_at", "u32", child);
+            }
         }
+        self.triangles.declare(&mut source, [3, triangles], "triangles", "Triangle");
+        self.triangles.read(&mut source, "triangles", "triangle_at", "Triangle", element);
         source
     }
 }
 
+/// Writing to a string cannot fail: what it returns is dropped here.
 impl Split {
-    fn declare(
-        self,
-        source: &mut String,
-        binding: &mut u32,
-        [array, element, accessor]: [&str; 3],
-    ) -> Result<(), std::fmt::Error> {
-        for part in 1..self.parts() {
-            writeln!(source, "@group(0) @binding({binding}) var<storage, read> {array}_{part}: array<{element}>;")?;
-            *binding += 1;
+    /// Declares the first part at one binding, the others from another on.
+    fn declare(self, source: &mut String, [first, others]: [u32; 2], array: &str, element: &str) {
+        let _ = writeln!(source, "@group(0) @binding({first}) var<storage, read> {array}: array<{element}>;");
+        for (part, binding) in (1..self.parts()).zip(others..) {
+            let _ =
+                writeln!(source, "@group(0) @binding({binding}) var<storage, read> {array}_{part}: array<{element}>;");
         }
-        writeln!(source, "fn {accessor}(i: u32) -> {element} {{")?;
+    }
+
+    /// A function that reads element `i`, or a member of it.
+    fn read(self, source: &mut String, array: &str, name: &str, result: &str, (arguments, member): (&str, &str)) {
+        let _ = writeln!(source, "fn {name}({arguments}) -> {result} {{");
         if self.more > 0 {
             let shift = self.shift;
-            writeln!(source, "    let j = i & {}u;\n    switch i >> {shift}u {{", (1u64 << shift) - 1)?;
+            let _ = writeln!(source, "    let j = i & {}u;\n    switch i >> {shift}u {{", (1u64 << shift) - 1);
             for part in 1..self.parts() {
-                writeln!(source, "        case {part}u: {{ return {array}_{part}[j]; }}")?;
+                let _ = writeln!(source, "        case {part}u: {{ return {array}_{part}[j]{member}; }}");
             }
-            writeln!(source, "        default: {{ return {array}[j]; }}\n    }}\n}}")
+            let _ = writeln!(source, "        default: {{ return {array}[j]{member}; }}\n    }}\n}}");
         } else {
-            writeln!(source, "    return {array}[i];\n}}")
+            let _ = writeln!(source, "    return {array}[i]{member};\n}}");
         }
     }
 }
@@ -117,10 +130,10 @@ mod tests {
 
     #[test]
     fn a_whole_array_is_read_as_one() {
-        let source = Splits::default().source();
+        let source = Splits::default().source(Layout::Rope);
         assert!(source.contains("return triangles[i];") && !source.contains("switch"), "{source}");
         let split = Splits { triangles: Split::new(40, 10), ..Splits::default() };
-        let source = split.source();
+        let source = split.source(Layout::Wide);
         assert!(
             source.contains("@binding(17) var<storage, read> triangles_4") && source.contains("i >> 3u"),
             "{source}"
