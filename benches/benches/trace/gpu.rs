@@ -6,8 +6,8 @@ use std::time::Duration;
 use bytemuck::Pod;
 use ropewalk::device::DeviceArrays;
 use ropewalk::device::layout::{Hit, NONE, Ray};
-use ropewalk::trace::Tracer as _;
 use ropewalk::trace::gpu::{GpuOptions, GpuTracer, RayBuffers};
+use ropewalk::trace::{Layout, Tracer as _};
 use ropewalk_bench::rays::{RayKind, any_answer, closest_answer};
 use ropewalk_bench::runner::Runner;
 use ropewalk_bench::{Result, time};
@@ -21,8 +21,8 @@ impl Gpu {
     ///
     /// # Errors
     /// There is none, or the scene is too large for it.
-    pub fn open(arrays: &mut DeviceArrays) -> Result<Self> {
-        let mut tracer = GpuTracer::new(&GpuOptions::default())?;
+    pub fn open(arrays: &mut DeviceArrays, layout: Layout) -> Result<Self> {
+        let mut tracer = GpuTracer::new(&GpuOptions::default())?.with_layout(layout);
         tracer.upload(arrays)?;
         Ok(Self(RefCell::new(tracer)))
     }

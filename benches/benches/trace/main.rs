@@ -1,8 +1,8 @@
 //! How fast each executor traces each kind of ray, and what a ray costs it.
 //!
 //! The first row of each block is the paper's own method: ropes in one fixed order, one triangle a leaf, one ray after the
-//! other. Counts are those of the replicas in `ropewalk_bench::layouts`. With the cargo feature `gpu` the executor `gpu` is measured
-//! too, where there is a GPU.
+//! other. Counts are the kernel's own; the executor `cpu` walks by packets, which have no count a ray. With the cargo feature `gpu`
+//! the executor `gpu` is measured too, where there is a GPU.
 
 #[cfg(feature = "gpu")]
 mod gpu;
@@ -11,16 +11,23 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::Parser;
+use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use ropewalk::device::DeviceArrays;
-use ropewalk::device::layout::Ray;
-use ropewalk::trace::{Cpu, Emulated};
-use ropewalk_bench::layouts::{Layout, LayoutScene, Totals, paper_arrays};
+use ropewalk::device::layout::{NONE, Ray};
+use ropewalk::trace::{Counts, Cpu, Emulated, Layout};
+use ropewalk_bench::layouts::paper_arrays;
 use ropewalk_bench::rays::{Differences, RayKind, RaySets, true_answers};
 use ropewalk_bench::runner::{Runner, Traced};
 use ropewalk_bench::scenes::{BenchScene, SCENES};
 use ropewalk_bench::{Contender, Options, Report, Result, medians};
 
+/// What the kernel walks, and whether it is the paper's own arrays that it walks.
+const LAYOUTS: [(&str, Layout, bool); 3] = [
+    ("paper: rope of 1 triangle a leaf", Layout::Rope, true),
+    ("rope", Layout::Rope, false),
+    ("wide", Layout::Wide, false),
+];
 const QUICK_NAMES: [&str; 2] = ["sphere", "bunny"];
 
 #[derive(Debug, Parser)]
@@ -82,7 +89,38 @@ fn measure_all(arguments: &Arguments) -> Result<Report> {
 struct Entry<'a> {
     name: String,
     runner: Box<dyn Runner + 'a>,
-    counts: Option<Totals>,
+    work: Option<Work>,
+}
+
+/// What all rays together do.
+#[derive(Clone, Copy)]
+struct Work {
+    counts: Counts,
+    /// Of the steps of lanes in groups of 32, those not spent waiting for the group's last. A step is a node or a triangle.
+    lockstep_efficiency: f64,
+}
+
+impl Work {
+    /// Asks the kernel.
+    fn of(arrays: &DeviceArrays, rays: &[Ray], kind: RayKind, layout: Layout) -> Self {
+        const LANES: usize = 32;
+        let kernel = Emulated::default().with_layout(layout);
+        let count = |ray: &Ray| {
+            let ray = std::slice::from_ref(ray);
+            if kind.is_any_hit() {
+                kernel.count_any_hits(arrays, ray, NONE)
+            } else {
+                kernel.count_closest_hits(arrays, ray, NONE)
+            }
+        };
+        let counts: Vec<Counts> = rays.par_iter().map(count).collect();
+        let steps = |counts: &Counts| counts.nodes + counts.triangles;
+        let slowest = |group: &[Counts]| group.iter().map(steps).max().unwrap_or(0);
+        let lane_steps = LANES as u64 * counts.chunks(LANES).map(slowest).sum::<u64>();
+        let mut sum = Counts::default();
+        counts.into_iter().for_each(|counts| sum += counts);
+        Self { counts: sum, lockstep_efficiency: steps(&sum) as f64 / lane_steps.max(1) as f64 }
+    }
 }
 
 fn measure_scene(
@@ -101,21 +139,23 @@ fn measure_scene(
     let scene = &*scene;
     for &kind in kinds {
         let rays = sets.of(kind);
-        let mut entries = vec![
-            emulated("paper: emulated, 1 triangle a leaf", &pools[0], &paper, rays, kind),
-            emulated("emulated", &pools[0], scene.arrays(), rays, kind),
-        ];
+        let mut entries = Vec::new();
+        for (how, layout, is_paper) in LAYOUTS {
+            let arrays = if is_paper { &paper } else { scene.arrays() };
+            let runner = Traced::new(Emulated::default().with_layout(layout), &pools[0], arrays, rays, kind);
+            let work = Some(Work::of(arrays, rays, kind, layout));
+            entries.push(Entry { name: format!("emulated, {how}"), runner: Box::new(runner), work });
+        }
         entries.extend(pools.iter().map(|pool| cpu(pool, scene.arrays(), rays, kind)));
         #[cfg(feature = "gpu")]
-        for (gpu, (arrays, how)) in
-            gpus.iter().zip([(&paper, "paper: gpu, 1 triangle a leaf"), (scene.arrays(), "gpu")])
-        {
-            let counts = counts(arrays, rays, kind);
+        for ((how, layout, is_paper), gpu) in LAYOUTS.into_iter().zip(&gpus) {
+            let arrays = if is_paper { &paper } else { scene.arrays() };
+            let work = Some(Work::of(arrays, rays, kind, layout));
             if let Some(resident) = gpu.resident(rays, kind) {
-                entries.push(Entry { name: how.to_owned(), runner: Box::new(resident), counts });
+                entries.push(Entry { name: format!("gpu, {how}"), runner: Box::new(resident), work });
             }
             let runner = Box::new(gpu.transferred(arrays, rays, kind));
-            entries.push(Entry { name: format!("{how}, with transfers"), runner, counts });
+            entries.push(Entry { name: format!("gpu, {how}, with transfers"), runner, work });
         }
         let mut contenders: Vec<Contender> =
             entries.iter_mut().map(|entry| Box::new(|| entry.runner.run()) as Contender).collect();
@@ -129,26 +169,13 @@ fn measure_scene(
     Ok(())
 }
 
-fn emulated<'a>(
-    name: &str,
-    pool: &'a ThreadPool,
-    arrays: &'a DeviceArrays,
-    rays: &'a [Ray],
-    kind: RayKind,
-) -> Entry<'a> {
-    let runner = Box::new(Traced::new(Emulated::default(), pool, arrays, rays, kind));
-    Entry { name: name.to_owned(), runner, counts: counts(arrays, rays, kind) }
-}
-
-/// What the rays do in the arrays' ropes.
-fn counts(arrays: &DeviceArrays, rays: &[Ray], kind: RayKind) -> Option<Totals> {
-    Some(LayoutScene::new(arrays, Layout::Rope, Layout::Rope).trace(rays, kind.is_any_hit()).1)
-}
-
-/// The GPU with the paper's arrays, and with the shipped ones; none where there is no GPU, or one too small.
+/// The GPU with each of the layouts; none where there is no GPU, or one too small.
 #[cfg(feature = "gpu")]
 fn open_gpus(paper: &mut DeviceArrays, scene: &mut BenchScene) -> Vec<gpu::Gpu> {
-    let opened = gpu::Gpu::open(paper).and_then(|first| Ok(vec![first, gpu::Gpu::open(scene.compiler.arrays_mut())?]));
+    let opened = LAYOUTS.map(|(_, layout, is_paper)| {
+        gpu::Gpu::open(if is_paper { &mut *paper } else { scene.compiler.arrays_mut() }, layout)
+    });
+    let opened: Result<Vec<gpu::Gpu>> = opened.into_iter().collect();
     match &opened {
         Ok(gpus) => println!("{}: gpu: {}", scene.name, gpus[0].name()),
         Err(error) => println!("{}: gpu: skipped: {error}", scene.name),
@@ -159,7 +186,7 @@ fn open_gpus(paper: &mut DeviceArrays, scene: &mut BenchScene) -> Vec<gpu::Gpu> 
 fn cpu<'a>(pool: &'a ThreadPool, arrays: &'a DeviceArrays, rays: &'a [Ray], kind: RayKind) -> Entry<'a> {
     let threads = pool.current_num_threads();
     let name = if threads == 1 { "cpu, 1 thread".to_owned() } else { format!("cpu, {threads} threads") };
-    Entry { name, runner: Box::new(Traced::new(Cpu::default(), pool, arrays, rays, kind)), counts: None }
+    Entry { name, runner: Box::new(Traced::new(Cpu::default(), pool, arrays, rays, kind)), work: None }
 }
 
 fn add_row(
@@ -172,8 +199,8 @@ fn add_row(
 ) {
     let rays = truth.len() as f64;
     let differences = Differences::between(truth, &entry.runner.answers());
-    let a_ray = |count: fn(&Totals) -> u64, decimals: usize| {
-        entry.counts.as_ref().map_or(String::new(), |totals| format!("{:.decimals$}", count(totals) as f64 / rays))
+    let a_ray = |count: fn(&Counts) -> u64, decimals: usize| {
+        entry.work.map_or(String::new(), |work| format!("{:.decimals$}", count(&work.counts) as f64 / rays))
     };
     report.row([
         scene.name.to_owned(),
@@ -184,11 +211,11 @@ fn add_row(
         entry.name.clone(),
         format!("{:.2}", rays / time.as_secs_f64() * 1e-6),
         format!("{:.2}", paper_time.as_secs_f64() / time.as_secs_f64()),
-        a_ray(|totals| totals.counts.nodes, 2),
-        a_ray(|totals| totals.counts.boxes, 2),
-        a_ray(|totals| totals.counts.triangles, 2),
-        a_ray(|totals| totals.counts.bytes, 0),
-        entry.counts.map_or(String::new(), |totals| format!("{:.1}", totals.lockstep_efficiency * 100.0)),
+        a_ray(|counts| counts.nodes, 2),
+        a_ray(|counts| counts.boxes, 2),
+        a_ray(|counts| counts.triangles, 2),
+        a_ray(|counts| counts.bytes, 0),
+        entry.work.map_or(String::new(), |work| format!("{:.1}", work.lockstep_efficiency * 100.0)),
         (differences.distances + differences.verdicts).to_string(),
     ]);
 }
