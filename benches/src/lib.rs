@@ -3,6 +3,12 @@
 //! A figure is a median of several samples, and what counts is the ratio of two figures of one run: everything that is
 //! compared runs in turns, so that whatever else the machine does hits all of them alike.
 
+pub mod embree;
+pub mod layouts;
+pub mod rays;
+pub mod runner;
+pub mod scenes;
+
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
@@ -10,6 +16,9 @@ use std::time::{Duration, Instant};
 use clap::Parser;
 use comfy_table::Table;
 use comfy_table::presets::ASCII_MARKDOWN;
+
+/// What went wrong, in words.
+pub type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;
 
 /// The options that every benchmark takes.
 #[derive(Clone, Debug, Parser)]
@@ -125,8 +134,9 @@ impl Report {
     }
 
     fn csv(&self) -> String {
-        let header = self.header.join(",");
-        self.rows.iter().fold(header + "\n", |csv, row| csv + &row.join(",") + "\n")
+        let quoted = |cell: &String| if cell.contains(',') { format!("\"{cell}\"") } else { cell.clone() };
+        let line = |row: &Vec<String>| row.iter().map(quoted).collect::<Vec<_>>().join(",");
+        self.rows.iter().fold(self.header.join(",") + "\n", |csv, row| csv + &line(row) + "\n")
     }
 }
 

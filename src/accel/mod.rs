@@ -9,10 +9,16 @@
 //! - No hierarchy is deeper than [`MAX_DEPTH`].
 //! - The same input gives the same arrays, whatever the number of threads.
 
+mod agglomerate;
 mod bins;
 mod blas;
+mod clip;
+mod cluster;
 mod flatten;
+mod partition;
+mod reinsert;
 mod sah;
+mod spatial;
 mod stats;
 mod support;
 mod top_level;
@@ -21,6 +27,7 @@ mod validate;
 mod wide;
 
 pub use blas::{Blas, BuildParams};
+pub use flatten::MAX_CHILDREN;
 pub use sah::MAX_DEPTH;
 pub use stats::Stats;
 pub use support::Support;

@@ -50,6 +50,8 @@ pub(super) struct Entry {
     pub(super) triangle_count: usize,
     /// How far its triangles reach, local space.
     pub(super) support: Support,
+    /// Whether some triangle is in several leaves.
+    pub(super) repeats: bool,
     /// The geometry itself: its streams are shared with the scene.
     source: Geometry,
     encloses: OnceLock<bool>,
@@ -181,6 +183,7 @@ impl GeometryCache {
             colors,
             triangle_count: geometry.indices.len(),
             support: built.support,
+            repeats: built.blas.repeats,
             source: geometry.clone(),
             encloses: OnceLock::new(),
         })

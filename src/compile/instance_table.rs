@@ -411,5 +411,6 @@ fn place(member: &Member, sources: &Sources<'_>) -> (Instance, Aabb, usize) {
     let mask = sources.hierarchy.placed()[entry].mask;
     let mut flags = material.instance_flags;
     flags.set(InstanceFlags::THIN, material.needs.contains(Needs::REFRACTION) && !geometry.encloses());
+    flags.set(InstanceFlags::REPEATS, geometry.repeats);
     (placement.instance(indices, mask, flags, member.node), placement.bounds, geometry.triangle_count)
 }

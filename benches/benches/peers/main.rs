@@ -1,0 +1,169 @@
+//! The same rays through Ropewalk's `cpu` executor and its peers, one thread each.
+//!
+//! All are built over the same triangles: where a scene has instances, peers get them flattened into one level, which spares
+//! them the second. Every material is opaque and has two sides. Rays are laid out for each as it takes them before the clock
+//! starts.
+
+mod crates;
+mod embree;
+#[cfg(feature = "embree3")]
+mod embree3;
+mod peer;
+
+use std::process::ExitCode;
+
+use clap::Parser;
+use glam::Vec3;
+use rayon::{ThreadPool, ThreadPoolBuilder};
+use ropewalk::device::layout::Ray;
+use ropewalk::trace::Cpu;
+use ropewalk_bench::embree::Embree;
+use ropewalk_bench::rays::{Differences, RayKind, RaySets};
+use ropewalk_bench::runner::Traced;
+use ropewalk_bench::scenes::{BenchScene, Recipe, SCENES};
+use ropewalk_bench::{Contender, Options, Report, Result, Target, medians};
+
+use crates::{Bvh, Obvhs, Parry};
+use embree::Embree4;
+use peer::{Entry, Peer, Role};
+
+/// The scenes of this benchmark: those that peers can hold without instances.
+const NAMES: [&str; 5] = ["bunny", "dragon-res2", "dragon", "sponza", "kitchen"];
+const QUICK_NAMES: [&str; 1] = ["bunny"];
+/// The scenes that the goals are about.
+const GOAL_NAMES: [&str; 2] = ["bunny", "dragon"];
+/// Of the rate of one thread, with so many threads: 3.6 of 4.
+const SCALING: f64 = 0.9;
+const MAX_THREADS: usize = 4;
+
+#[derive(Debug, Parser)]
+struct Arguments {
+    #[command(flatten)]
+    options: Options,
+    /// Only these scenes.
+    #[arg(long, value_name = "NAME", value_parser = NAMES)]
+    scene: Vec<String>,
+    /// Only these rays.
+    #[arg(long, value_name = "KIND")]
+    rays: Vec<RayKind>,
+}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    match measure_all(&arguments) {
+        Ok(report) => report.finish(&arguments.options),
+        Err(error) => {
+            eprintln!("{error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn measure_all(arguments: &Arguments) -> Result<Report> {
+    let names = if arguments.options.quick { &QUICK_NAMES[..] } else { &NAMES };
+    let is_wanted = |recipe: &&Recipe| {
+        if arguments.scene.is_empty() {
+            names.contains(&recipe.name)
+        } else {
+            arguments.scene.iter().any(|name| name == recipe.name)
+        }
+    };
+    let kinds = if arguments.rays.is_empty() { &RayKind::ALL[..] } else { &arguments.rays };
+    let columns =
+        ["scene", "triangles", "rays", "count", "who", "Mrays/s", "ours / theirs", "hits", "other t", "other verdict"];
+    let mut report = Report::new(&columns);
+    let embree = Embree::open(0)?;
+    let threads = std::thread::available_parallelism().map_or(1, usize::from).min(MAX_THREADS);
+    let pools = [thread_pool(1)?, thread_pool(threads)?];
+    for recipe in SCENES.iter().filter(is_wanted) {
+        let scene = recipe.load()?;
+        let triangles = scene.triangles();
+        let peers = build_peers(&embree, &triangles)?;
+        let sets = RaySets::new(&scene)?;
+        let mut scaling = [0.0; 2];
+        for &kind in kinds {
+            let rays = sets.of(kind);
+            let mut entries = Vec::from(ours(&scene, rays, kind, &pools));
+            entries.extend(peers.iter().flat_map(|peer| peer.entries(rays, kind)));
+            let times = measure(&scene, &triangles, kind, entries, arguments, &mut report);
+            scaling[0] += times[0];
+            scaling[1] += times[1];
+        }
+        if GOAL_NAMES.contains(&scene.name) {
+            let goal = Target::AtLeast(SCALING * threads as f64);
+            report.goal(format!("threads_{threads}_{}", scene.name), scaling[0] / scaling[1], goal, "x");
+        }
+    }
+    Ok(report)
+}
+
+fn build_peers<'a>(embree: &'a Embree, triangles: &[[Vec3; 3]]) -> Result<Vec<Box<dyn Peer + 'a>>> {
+    Ok(vec![
+        Box::new(Embree4::build(embree, triangles)?),
+        #[cfg(feature = "embree3")]
+        Box::new(embree3::Embree3::build(triangles)?),
+        Box::new(Obvhs::build(triangles)),
+        Box::new(Bvh::build(triangles)),
+        Box::new(Parry::build(triangles)?),
+    ])
+}
+
+fn thread_pool(threads: usize) -> Result<ThreadPool> {
+    Ok(ThreadPoolBuilder::new().num_threads(threads).build()?)
+}
+
+fn ours<'a>(scene: &'a BenchScene, rays: &'a [Ray], kind: RayKind, pools: &'a [ThreadPool; 2]) -> [Entry<'a>; 2] {
+    [(Role::Ours, &pools[0]), (Role::Other, &pools[1])].map(|(role, pool)| {
+        let threads = pool.current_num_threads();
+        let name = if threads == 1 { "ropewalk".to_owned() } else { format!("ropewalk, {threads} threads") };
+        Entry { name, role, runner: Box::new(Traced::new(Cpu::default(), pool, scene.arrays(), rays, kind)) }
+    })
+}
+
+/// Adds a row for each, ours first, and the goals. Returns everybody's times, in seconds.
+fn measure(
+    scene: &BenchScene,
+    triangles: &[[Vec3; 3]],
+    kind: RayKind,
+    mut entries: Vec<Entry<'_>>,
+    arguments: &Arguments,
+    report: &mut Report,
+) -> Vec<f64> {
+    let samples = if arguments.options.quick { 5 } else { 9 };
+    let mut contenders: Vec<Contender> =
+        entries.iter_mut().map(|entry| Box::new(|| entry.runner.run()) as Contender).collect();
+    let times = medians(samples, &mut contenders);
+    drop(contenders);
+    let times: Vec<f64> = times.iter().map(std::time::Duration::as_secs_f64).collect();
+
+    let truth = entries[0].runner.answers();
+    for (entry, time) in entries.iter().zip(&times) {
+        let answers = entry.runner.answers();
+        let differences = Differences::between(&truth, &answers);
+        report.row([
+            scene.name.to_owned(),
+            triangles.len().to_string(),
+            kind.name().to_owned(),
+            truth.len().to_string(),
+            entry.name.clone(),
+            format!("{:.2}", truth.len() as f64 / time * 1e-6),
+            format!("{:.2}", time / times[0]),
+            answers.iter().filter(|t| t.is_finite()).count().to_string(),
+            differences.distances.to_string(),
+            differences.verdicts.to_string(),
+        ]);
+    }
+
+    if GOAL_NAMES.contains(&scene.name) {
+        let (roles, target): (&[Role], _) = match kind {
+            RayKind::Primary => (&[Role::Embree16], 2.0),
+            RayKind::Shadow | RayKind::Mirror => (&[Role::Embree1, Role::Embree16], 1.5),
+            RayKind::Diffuse => (&[Role::Embree1], 1.0),
+        };
+        let theirs = entries.iter().zip(&times).filter(|(entry, _)| roles.contains(&entry.role));
+        let best = theirs.map(|(_, &time)| time).fold(f64::INFINITY, f64::min);
+        let name = format!("{}_{}_against_embree", kind.name(), scene.name);
+        report.goal(name, best / times[0], Target::AtLeast(target), "x");
+    }
+    times
+}

@@ -1,0 +1,221 @@
+//! How fast each executor traces each kind of ray, and what a ray costs it.
+//!
+//! The first row of each block is the paper's own method: ropes in one fixed order, one triangle a leaf, one ray after the
+//! other. Counts are the kernel's own; the executor `cpu` walks by packets, which have no count a ray. With the cargo feature `gpu`
+//! the executor `gpu` is measured too, where there is a GPU.
+
+#[cfg(feature = "gpu")]
+mod gpu;
+
+use std::process::ExitCode;
+use std::time::Duration;
+
+use clap::Parser;
+use rayon::prelude::*;
+use rayon::{ThreadPool, ThreadPoolBuilder};
+use ropewalk::device::DeviceArrays;
+use ropewalk::device::layout::{NONE, Ray};
+use ropewalk::trace::{Counts, Cpu, Emulated, Layout};
+use ropewalk_bench::layouts::paper_arrays;
+use ropewalk_bench::rays::{Differences, RayKind, RaySets, true_answers};
+use ropewalk_bench::runner::{Runner, Traced};
+use ropewalk_bench::scenes::{BenchScene, SCENES};
+use ropewalk_bench::{Contender, Options, Report, Result, medians};
+
+/// What the kernel walks, and whether it is the paper's own arrays that it walks.
+const LAYOUTS: [(&str, Layout, bool); 3] = [
+    ("paper: rope of 1 triangle a leaf", Layout::Rope, true),
+    ("rope", Layout::Rope, false),
+    ("wide", Layout::Wide, false),
+];
+const QUICK_NAMES: [&str; 2] = ["sphere", "bunny"];
+
+#[derive(Debug, Parser)]
+struct Arguments {
+    #[command(flatten)]
+    options: Options,
+    /// Only these scenes.
+    #[arg(long, value_name = "NAME")]
+    scene: Vec<String>,
+    /// Only these rays.
+    #[arg(long, value_name = "KIND")]
+    rays: Vec<RayKind>,
+}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    match measure_all(&arguments) {
+        Ok(report) => report.finish(&arguments.options),
+        Err(error) => {
+            eprintln!("{error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn measure_all(arguments: &Arguments) -> Result<Report> {
+    let columns = [
+        "scene",
+        "triangles",
+        "bytes",
+        "rays",
+        "count",
+        "executor",
+        "Mrays/s",
+        "times paper's",
+        "nodes a ray",
+        "boxes a ray",
+        "triangles a ray",
+        "bytes a ray",
+        "lockstep %",
+        "other hits",
+    ];
+    let mut report = Report::new(&columns);
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let pools = [1, threads].map(|threads| ThreadPoolBuilder::new().num_threads(threads).build());
+    let [one, all] = pools;
+    let pools = [one?, all?];
+    for recipe in &SCENES {
+        let is_named = arguments.scene.iter().any(|name| name == recipe.name);
+        let is_default = !arguments.options.quick || QUICK_NAMES.contains(&recipe.name);
+        if is_named || arguments.scene.is_empty() && is_default {
+            measure_scene(&mut recipe.load()?, arguments, &pools, &mut report)?;
+        }
+    }
+    Ok(report)
+}
+
+/// An executor over some arrays, with what a ray does there where a replica tells.
+struct Entry<'a> {
+    name: String,
+    runner: Box<dyn Runner + 'a>,
+    work: Option<Work>,
+}
+
+/// What all rays together do.
+#[derive(Clone, Copy)]
+struct Work {
+    counts: Counts,
+    /// Of the steps of lanes in groups of 32, those not spent waiting for the group's last. A step is a node or a triangle.
+    lockstep_efficiency: f64,
+}
+
+impl Work {
+    /// Asks the kernel.
+    fn of(arrays: &DeviceArrays, rays: &[Ray], kind: RayKind, layout: Layout) -> Self {
+        const LANES: usize = 32;
+        let kernel = Emulated::default().with_layout(layout);
+        let count = |ray: &Ray| {
+            let ray = std::slice::from_ref(ray);
+            if kind.is_any_hit() {
+                kernel.count_any_hits(arrays, ray, NONE)
+            } else {
+                kernel.count_closest_hits(arrays, ray, NONE)
+            }
+        };
+        let counts: Vec<Counts> = rays.par_iter().map(count).collect();
+        let steps = |counts: &Counts| counts.nodes + counts.triangles;
+        let slowest = |group: &[Counts]| group.iter().map(steps).max().unwrap_or(0);
+        let lane_steps = LANES as u64 * counts.chunks(LANES).map(slowest).sum::<u64>();
+        let mut sum = Counts::default();
+        counts.into_iter().for_each(|counts| sum += counts);
+        Self { counts: sum, lockstep_efficiency: steps(&sum) as f64 / lane_steps.max(1) as f64 }
+    }
+}
+
+fn measure_scene(
+    scene: &mut BenchScene,
+    arguments: &Arguments,
+    pools: &[ThreadPool; 2],
+    report: &mut Report,
+) -> Result<()> {
+    let kinds = if arguments.rays.is_empty() { &RayKind::ALL[..] } else { &arguments.rays };
+    let samples = if arguments.options.quick { 3 } else { 7 };
+    let sets = RaySets::new(scene)?;
+    #[cfg_attr(not(feature = "gpu"), expect(unused_mut, reason = "for the upload"))]
+    let mut paper = paper_arrays(scene.arrays())?;
+    #[cfg(feature = "gpu")]
+    let gpus = open_gpus(&mut paper, scene);
+    let scene = &*scene;
+    for &kind in kinds {
+        let rays = sets.of(kind);
+        let mut entries = Vec::new();
+        for (how, layout, is_paper) in LAYOUTS {
+            let arrays = if is_paper { &paper } else { scene.arrays() };
+            let runner = Traced::new(Emulated::default().with_layout(layout), &pools[0], arrays, rays, kind);
+            let work = Some(Work::of(arrays, rays, kind, layout));
+            entries.push(Entry { name: format!("emulated, {how}"), runner: Box::new(runner), work });
+        }
+        entries.extend(pools.iter().map(|pool| cpu(pool, scene.arrays(), rays, kind)));
+        #[cfg(feature = "gpu")]
+        for ((how, layout, is_paper), gpu) in LAYOUTS.into_iter().zip(&gpus) {
+            let arrays = if is_paper { &paper } else { scene.arrays() };
+            let work = Some(Work::of(arrays, rays, kind, layout));
+            if let Some(resident) = gpu.resident(rays, kind) {
+                entries.push(Entry { name: format!("gpu, {how}"), runner: Box::new(resident), work });
+            }
+            let runner = Box::new(gpu.transferred(arrays, rays, kind));
+            entries.push(Entry { name: format!("gpu, {how}, with transfers"), runner, work });
+        }
+        let mut contenders: Vec<Contender> =
+            entries.iter_mut().map(|entry| Box::new(|| entry.runner.run()) as Contender).collect();
+        let times = medians(samples, &mut contenders);
+        drop(contenders);
+        let truth = true_answers(scene, rays, kind)?;
+        for (entry, time) in entries.iter().zip(&times) {
+            add_row(scene, kind, &truth, entry, [*time, times[0]], report);
+        }
+    }
+    Ok(())
+}
+
+/// The GPU with each of the layouts; none where there is no GPU, or one too small.
+#[cfg(feature = "gpu")]
+fn open_gpus(paper: &mut DeviceArrays, scene: &mut BenchScene) -> Vec<gpu::Gpu> {
+    let opened = LAYOUTS.map(|(_, layout, is_paper)| {
+        gpu::Gpu::open(if is_paper { &mut *paper } else { scene.compiler.arrays_mut() }, layout)
+    });
+    let opened: Result<Vec<gpu::Gpu>> = opened.into_iter().collect();
+    match &opened {
+        Ok(gpus) => println!("{}: gpu: {}", scene.name, gpus[0].name()),
+        Err(error) => println!("{}: gpu: skipped: {error}", scene.name),
+    }
+    opened.unwrap_or_default()
+}
+
+fn cpu<'a>(pool: &'a ThreadPool, arrays: &'a DeviceArrays, rays: &'a [Ray], kind: RayKind) -> Entry<'a> {
+    let threads = pool.current_num_threads();
+    let name = if threads == 1 { "cpu, 1 thread".to_owned() } else { format!("cpu, {threads} threads") };
+    Entry { name, runner: Box::new(Traced::new(Cpu::default(), pool, arrays, rays, kind)), work: None }
+}
+
+fn add_row(
+    scene: &BenchScene,
+    kind: RayKind,
+    truth: &[f32],
+    entry: &Entry<'_>,
+    [time, paper_time]: [Duration; 2],
+    report: &mut Report,
+) {
+    let rays = truth.len() as f64;
+    let differences = Differences::between(truth, &entry.runner.answers());
+    let a_ray = |count: fn(&Counts) -> u64, decimals: usize| {
+        entry.work.map_or(String::new(), |work| format!("{:.decimals$}", count(&work.counts) as f64 / rays))
+    };
+    report.row([
+        scene.name.to_owned(),
+        scene.triangle_count().to_string(),
+        scene.arrays().byte_count().to_string(),
+        kind.name().to_owned(),
+        truth.len().to_string(),
+        entry.name.clone(),
+        format!("{:.2}", rays / time.as_secs_f64() * 1e-6),
+        format!("{:.2}", paper_time.as_secs_f64() / time.as_secs_f64()),
+        a_ray(|counts| counts.nodes, 2),
+        a_ray(|counts| counts.boxes, 2),
+        a_ray(|counts| counts.triangles, 2),
+        a_ray(|counts| counts.bytes, 0),
+        entry.work.map_or(String::new(), |work| format!("{:.1}", work.lockstep_efficiency * 100.0)),
+        (differences.distances + differences.verdicts).to_string(),
+    ]);
+}

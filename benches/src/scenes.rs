@@ -1,0 +1,278 @@
+//! The scenes that rays are measured in, each with a camera and a light.
+
+use std::collections::HashSet;
+use std::f64::consts::TAU;
+use std::path::PathBuf;
+
+use glam::{DQuat, DVec3, Vec3, Vec4};
+use ropewalk::compile::Compiler;
+use ropewalk::device::DeviceArrays;
+use ropewalk::device::layout::{Hit, Instance, NONE, Node, Triangle};
+use ropewalk::{Camera, Core, CoreKey, Geometry, Material, Scene, Transform, View, gltf};
+
+use crate::Result;
+
+/// A scene by its recipe.
+#[derive(Clone, Copy, Debug)]
+pub struct Recipe {
+    /// What `--scene` calls it.
+    pub name: &'static str,
+    source: Source,
+    eye: [f64; 3],
+    target: [f64; 3],
+    light: [f64; 3],
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Source {
+    /// Below the folder of scenes.
+    File(&'static str),
+    /// A sphere of 10,000 triangles.
+    Sphere,
+    /// A thousand bunnies, turned at random, in a cube. The number: the boxes of all together, in volumes of the cube.
+    Bunnies(f64),
+}
+
+const BUNNY: &str = "meshes/stanford-bunny.glb";
+
+/// Every scene: single objects that fill some 40 % of the image, interiors that fill all of it, and instances.
+pub const SCENES: [Recipe; 9] = [
+    Recipe {
+        name: "sphere",
+        source: Source::Sphere,
+        eye: [1.2, 0.9, 2.6],
+        target: [0.0, 0.0, 0.0],
+        light: [-2.0, 3.0, 2.0],
+    },
+    Recipe {
+        name: "bunny",
+        source: Source::File(BUNNY),
+        eye: [0.053, 0.165, 0.177],
+        target: [-0.017, 0.110, -0.002],
+        light: [-0.2, 0.4, 0.3],
+    },
+    Recipe {
+        name: "dragon-res2",
+        source: Source::File("meshes/stanford-dragon-res2.glb"),
+        eye: [0.062, 0.178, 0.208],
+        target: [-0.006, 0.125, -0.005],
+        light: [-0.2, 0.4, 0.3],
+    },
+    Recipe {
+        name: "dragon",
+        source: Source::File("meshes/stanford-dragon.glb"),
+        eye: [0.062, 0.178, 0.208],
+        target: [-0.006, 0.125, -0.005],
+        light: [-0.2, 0.4, 0.3],
+    },
+    Recipe {
+        name: "sponza",
+        source: Source::File("scenes/sponza-dabrovic-flat.glb"),
+        eye: [-11.5, 2.2, 0.6],
+        target: [6.0, 4.2, -1.0],
+        light: [0.0, 11.0, 0.0],
+    },
+    Recipe {
+        name: "kitchen",
+        source: Source::File("scenes/bart-kitchen.glb"),
+        eye: [0.5, 1.7, 3.6],
+        target: [3.4, 0.8, 0.6],
+        light: [2.25, 2.0, 1.0],
+    },
+    bunnies("bunnies-0.3", 0.3),
+    bunnies("bunnies-1", 1.0),
+    bunnies("bunnies-3", 3.0),
+];
+
+const fn bunnies(name: &'static str, overlap: f64) -> Recipe {
+    let (eye, target, light) = ([0.66, 0.5, 1.46], [0.0, 0.0, 0.0], [-2.0, 3.0, 2.0]);
+    Recipe { name, source: Source::Bunnies(overlap), eye, target, light }
+}
+
+/// Pixels a row.
+pub const WIDTH: u32 = 800;
+/// Rows of pixels.
+pub const HEIGHT: u32 = 600;
+
+/// A scene compiled for tracing. All that has a place is in the space of its device arrays.
+#[derive(Debug)]
+pub struct BenchScene {
+    /// What `--scene` calls it.
+    pub name: &'static str,
+    /// Holds the device arrays.
+    pub compiler: Compiler,
+    triangle_count: u64,
+    /// What is seen of it.
+    pub view: View,
+    /// Where its light is.
+    pub light: Vec3,
+}
+
+impl BenchScene {
+    /// The device arrays.
+    pub fn arrays(&self) -> &DeviceArrays {
+        self.compiler.arrays()
+    }
+
+    /// Triangles, those of a geometry as often as it is shown.
+    pub fn triangle_count(&self) -> u64 {
+        self.triangle_count
+    }
+
+    /// The corners of the triangle that was hit.
+    pub fn corners(&self, hit: &Hit) -> [Vec3; 3] {
+        let arrays = self.arrays();
+        placed(&arrays.instances[hit.instance as usize], &arrays.triangles[hit.triangle as usize])
+    }
+
+    /// The triangles of every instance, in the space of the device arrays: what peers get that know one level.
+    pub fn triangles(&self) -> Vec<[Vec3; 3]> {
+        let arrays = self.arrays();
+        let mut triangles = Vec::new();
+        for instance in leaves(&arrays.tlas_nodes).map(|(first, _)| &arrays.instances[first]) {
+            // A structure may hold a triangle in several leaves.
+            let mut seen = HashSet::new();
+            for (first, count) in leaves(&arrays.blas_nodes[instance.first_node as usize..]) {
+                let first = instance.first_triangle as usize + first;
+                for triangle in &arrays.triangles[first..first + count] {
+                    if seen.insert(triangle.primitive) {
+                        triangles.push(placed(instance, triangle));
+                    }
+                }
+            }
+        }
+        triangles
+    }
+}
+
+fn placed(instance: &Instance, triangle: &Triangle) -> [Vec3; 3] {
+    let [x, y, z] = instance.world_from_local.map(Vec4::from_array);
+    [triangle.v0, triangle.v1, triangle.v2].map(|corner| {
+        let corner = Vec3::from_array(corner).extend(1.0);
+        Vec3::new(x.dot(corner), y.dot(corner), z.dot(corner))
+    })
+}
+
+/// The ranges of the leaves of the hierarchy that starts with these nodes.
+pub(crate) fn leaves(nodes: &[Node]) -> impl Iterator<Item = (usize, usize)> {
+    let mut next = if nodes.is_empty() { NONE } else { 0 };
+    std::iter::from_fn(move || {
+        while next != NONE {
+            let node = &nodes[next as usize];
+            if node.primitives.count() > 0 {
+                next = node.escape_index;
+                return Some((node.primitives.first() as usize, node.primitives.count() as usize));
+            }
+            // An unused one has no children.
+            next = if node.is_unused() { node.escape_index } else { next + 1 };
+        }
+        None
+    })
+}
+
+impl Recipe {
+    /// Loads or makes the scene. Every material is opaque and has two sides, so that all peers are asked the same.
+    ///
+    /// # Errors
+    /// A file is missing or damaged.
+    pub fn load(&self) -> Result<BenchScene> {
+        let mut scene = Scene::new();
+        self.fill(&mut scene)?;
+        let materials: Vec<_> = scene.materials().map(|(key, _)| key).collect();
+        for key in materials {
+            scene.set_material(key, Material { double_sided: true, ..Material::diffuse(Vec3::splat(0.8)) })?;
+        }
+        let [eye, target, light] = [self.eye, self.target, self.light].map(DVec3::from_array);
+        let mut view = View::look_at(eye, target, DVec3::Y, Camera::default(), WIDTH, HEIGHT);
+        let mut compiler = Compiler::new();
+        compiler.compile(&mut scene, view.observer())?;
+        view.world_from_view.translation -= compiler.origin();
+        let light = (light - compiler.origin()).as_vec3();
+        let triangle_count = scene.instanced_triangle_count();
+        Ok(BenchScene { name: self.name, compiler, triangle_count, view, light })
+    }
+
+    fn fill(&self, scene: &mut Scene) -> Result<()> {
+        let root = scene.root();
+        match self.source {
+            Source::File(file) => import(file, scene),
+            Source::Sphere => {
+                let core = geometry_core(scene, sphere(51, 100))?;
+                scene.add(root, core)?;
+                Ok(())
+            }
+            Source::Bunnies(overlap) => {
+                let mut original = Scene::new();
+                import(BUNNY, &mut original)?;
+                let bunny = original.geometries().next().map(|(_, geometry)| geometry.clone());
+                add_copies(scene, bunny.ok_or("the bunny is empty")?, overlap)
+            }
+        }
+    }
+}
+
+/// The folder of scenes: `ROPEWALK_SCENES`, or `shared/scenes` beside the checkout.
+fn folder() -> PathBuf {
+    let beside = concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/scenes");
+    PathBuf::from(std::env::var_os("ROPEWALK_SCENES").unwrap_or_else(|| beside.into()))
+}
+
+fn import(file: &str, scene: &mut Scene) -> Result<()> {
+    let path = folder().join(file);
+    let root = scene.root();
+    let imported = gltf::import(&path, scene, root);
+    imported.map_err(|error| format!("{}: {error} (set ROPEWALK_SCENES to the folder of scenes)", path.display()))?;
+    Ok(())
+}
+
+fn geometry_core(scene: &mut Scene, geometry: Geometry) -> Result<CoreKey> {
+    let geometry = scene.add_geometry(geometry)?;
+    let material = scene.add_material(Material::default())?;
+    Ok(scene.add_core(Core::Geometry { geometry, material })?)
+}
+
+/// A sphere of radius 1 of 2 `columns` (`rows` - 1) triangles: bands of quads between two fans.
+pub fn sphere(rows: u32, columns: u32) -> Geometry {
+    let mut positions = vec![Vec3::Y];
+    for row in 1..rows {
+        let (radius, height) = (std::f64::consts::PI * f64::from(row) / f64::from(rows)).sin_cos();
+        for column in 0..columns {
+            let (sine, cosine) = (TAU * f64::from(column) / f64::from(columns)).sin_cos();
+            positions.push(DVec3::new(radius * cosine, height, -radius * sine).as_vec3());
+        }
+    }
+    positions.push(Vec3::NEG_Y);
+    let vertex = |row: u32, column: u32| 1 + (row - 1) * columns + column % columns;
+    let last = positions.len() as u32 - 1;
+    let mut indices = Vec::new();
+    for c in 0..columns {
+        indices.push([0, vertex(1, c), vertex(1, c + 1)]);
+        indices.push([vertex(rows - 1, c + 1), vertex(rows - 1, c), last]);
+        for r in 1..rows - 1 {
+            let [a, b, d, e] = [vertex(r, c), vertex(r, c + 1), vertex(r + 1, c), vertex(r + 1, c + 1)];
+            indices.extend([[a, d, e], [a, e, b]]);
+        }
+    }
+    Geometry::new(positions, indices)
+}
+
+/// A thousand copies, scaled so that the cube that holds their centres has a side of 1.
+fn add_copies(scene: &mut Scene, geometry: Geometry, overlap: f64) -> Result<()> {
+    const COUNT: usize = 1000;
+    let core = geometry_core(scene, geometry)?;
+    let Some(key) = scene.core_of(core)?.geometry() else { return Ok(()) };
+    let bounds = scene.geometry_bounds(key)?;
+    let size = bounds.max - bounds.min;
+    let scale = (overlap / (COUNT as f64 * size.x * size.y * size.z)).cbrt();
+    let mut random = fastrand::Rng::with_seed(1);
+    let root = scene.root();
+    for _ in 0..COUNT {
+        let mut signed = || random.f64() * 2.0 - 1.0;
+        let rotation = DQuat::from_xyzw(signed(), signed(), signed(), signed()).normalize();
+        let place = 0.5 * DVec3::new(signed(), signed(), signed());
+        let translation = place - rotation * (scale * bounds.center());
+        let node = scene.add(root, Transform::Trs { translation, rotation, scale: DVec3::splat(scale) })?;
+        scene.add(node, core)?;
+    }
+    Ok(())
+}
