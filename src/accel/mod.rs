@@ -12,6 +12,7 @@
 mod bins;
 mod blas;
 mod flatten;
+mod refit;
 mod sah;
 mod stats;
 mod support;
@@ -20,6 +21,7 @@ mod tree;
 mod validate;
 
 pub use blas::{Blas, BuildParams};
+pub(crate) use refit::{Refitted, refit};
 pub use sah::MAX_DEPTH;
 pub use stats::Stats;
 pub use support::Support;
