@@ -6,8 +6,8 @@
 
 @compute @workgroup_size(64)
 fn any_hits(@builtin(global_invocation_id) id: vec3<u32>) {
-    let i = id.x;
-    if i < batch.count {
+    let i = batch.first + id.x;
+    if id.x < batch.count {
         blocked[i] = select(0u, 1u, any_hit(rays[i], batch.ray_mask));
     }
 }

@@ -158,6 +158,22 @@ pub enum Error {
         /// What the driver said.
         message: String,
     },
+    /// The GPU's driver gave the device up: it was unplugged, restarted, updated, or ran too long. Nothing on it is left.
+    #[error("the device was lost during {during}: {message}")]
+    DeviceLost {
+        /// What was being done, or was to be.
+        during: &'static str,
+        /// What the driver said.
+        message: String,
+    },
+    /// The GPU has no memory left: the scene or the image is too large for it, or others use it.
+    #[error("out of GPU memory during {during}: {message}; render a smaller image or scene, or on the CPU")]
+    OutOfMemory {
+        /// What was being done: "the upload of the scene".
+        during: &'static str,
+        /// What the driver said.
+        message: String,
+    },
     /// A file name does not say which image format to write.
     #[error("{path}: the ending of the name is not that of an image format Ropewalk writes (.png or .exr)")]
     ImageFormat {

@@ -62,7 +62,7 @@ pub use graph::{
 };
 pub use math::{Aabb, Bounds};
 pub use query::{Hit, Queries, Ray, Region};
-pub use render::{DeviceChoice, Frame, FrameReport, Renderer, RendererOptions, Sky, View};
+pub use render::{ClosestHits, DeviceChoice, Frame, FrameReport, Renderer, RendererOptions, Sky, View};
 
 /// The README's program compiles.
 #[cfg(doctest)]
@@ -73,3 +73,8 @@ struct Readme;
 #[cfg(doctest)]
 #[doc = include_str!("../docs/SCENE_GRAPH.md")]
 struct SceneGraphGuide;
+
+/// The programs of the page on batches of rays run.
+#[cfg(all(doctest, feature = "gpu"))]
+#[doc = include_str!("../docs/QUERIES.md")]
+struct QueriesGuide;

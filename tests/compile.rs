@@ -109,6 +109,7 @@ fn random_deformations_show_what_is_compiled_from_nothing() {
 #[derive(Default)]
 struct Copies {
     nodes: Vec<u8>,
+    wide_nodes: Vec<u8>,
     triangles: Vec<u8>,
     normals: Vec<u8>,
     geometries: Vec<u8>,
@@ -127,6 +128,7 @@ impl Copies {
         }
         [
             ("nodes", is_equal(&mut self.nodes, &mut arrays.blas_nodes)),
+            ("wide nodes", is_equal(&mut self.wide_nodes, &mut arrays.wide_nodes)),
             ("triangles", is_equal(&mut self.triangles, &mut arrays.triangles)),
             ("normals", is_equal(&mut self.normals, &mut arrays.normals)),
             ("geometries", is_equal(&mut self.geometries, &mut arrays.geometries)),
@@ -195,6 +197,7 @@ fn canonical_form_sees_each_field() {
     plant!(instances, |instances| instances.iter_mut().for_each(|i| i.mask ^= 1));
     plant!(blas_nodes, |nodes| nodes.iter_mut().for_each(|n| n.max[2] += 1.0), [false, true]);
     plant!(blas_nodes, |nodes| nodes.iter_mut().for_each(|n| n.max[2] *= 0.999));
+    plant!(wide_nodes, |nodes| nodes.iter_mut().for_each(|n| n.planes[1][1] = [0; 8]));
     plant!(triangles, |triangles| triangles.iter_mut().for_each(|t| t.v1[0] += 1.0));
     plant!(indices, |indices| indices.iter_mut().for_each(|i| *i = 0));
     plant!(normals, |normals| normals.iter_mut().for_each(|n| *n += 1.0));

@@ -9,13 +9,15 @@ use naga::proc::Layouter;
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 use ropewalk::compile::Needs;
 use ropewalk::device::layout::{
-    FrameParams, Hit, Instance, Light, Material, Node, Ray, RayBatch, Streams, TextureInfo, Triangle,
+    FrameParams, Hit, Instance, Light, Material, Node, Ray, RayBatch, Streams, TextureInfo, Triangle, WideNode,
 };
-use ropewalk::trace::shader::EntryPoint;
+use ropewalk::trace::Layout as Walked;
+use ropewalk::trace::shader::{EntryPoint, Include, Split, Splits, Variant};
 
 const TYPES: &str = include_str!("../shaders/shared/types.wgsl");
 
-fn parse(entry: EntryPoint, needs: Needs) -> naga::Module {
+fn parse(entry: EntryPoint, needs: impl Into<Variant>) -> naga::Module {
+    let needs = needs.into();
     let source = entry.source(needs);
     let module = naga::front::wgsl::parse_str(&source)
         .unwrap_or_else(|e| panic!("{entry:?} with {needs:?}: {}", e.emit_to_string(&source)));
@@ -31,10 +33,61 @@ fn every_kernel_is_valid_whatever_is_needed() {
     let one_more_or_less = all.iter().flat_map(|flag| [flag, all - flag]);
     for needs in [Needs::empty(), all].into_iter().chain(one_more_or_less) {
         for entry in EntryPoint::ALL {
+            let splits = Splits { nodes: Split::new(20, 10), triangles: Split::new(40, 10) };
+            parse(entry, Variant { needs, layout: Walked::Rope, splits });
+            parse(entry, Variant { needs, layout: Walked::Rope, ..Variant::default() });
             let module = parse(entry, needs);
             assert!(module.entry_points.iter().any(|e| e.name == entry.name()), "{entry:?} is in its module");
         }
     }
+}
+
+/// Includes of all kinds: every need alone and left out, with surfaces and without, whole and split.
+fn includes() -> impl Iterator<Item = Include> {
+    let all = Needs::all();
+    let needs = [Needs::empty(), all].into_iter().chain(all.iter().flat_map(move |flag| [flag, all - flag]));
+    let split = Splits { nodes: Split::new(20, 10), triangles: Split::new(40, 10) };
+    let bound = [
+        (Walked::Rope, split),
+        (Walked::Rope, Splits::default()),
+        (Walked::Wide, split),
+        (Walked::Wide, Splits::default()),
+    ];
+    let variants = needs.flat_map(move |needs| bound.map(|(layout, splits)| Variant { needs, layout, splits }));
+    variants.flat_map(|variant| [false, true].map(|surfaces| Include { group: 3, surfaces, variant }))
+}
+
+#[test]
+fn includes_are_valid_and_bind_what_they_use() {
+    let mut fewest = usize::MAX;
+    for include in includes() {
+        let mut source = include.source();
+        source.push_str("@group(0) @binding(0) var<storage, read_write> own: vec4<f32>;\n@compute @workgroup_size(1) fn own_kernel() {\n");
+        source.push_str("let ray = Ray(vec3<f32>(own.x), 0.0, vec3<f32>(1.0), 1.0); let hit = closest_hit(ray, 1u);\n");
+        source.push_str("own.x = hit.t; own.y = f32(any_hit(ray, 1u)); own.z = transmittance(ray, 1u).x;\n");
+        if include.surfaces {
+            source.push_str("let surface = surface_at(hit, ray.direction); own.w = surface.normal.x + leave(surface, ray.direction).x;\n");
+        }
+        source.push('}');
+        let module = naga::front::wgsl::parse_str(&source).unwrap_or_else(|e| panic!("{}", e.emit_to_string(&source)));
+        let info = Validator::new(ValidationFlags::all(), Capabilities::empty())
+            .validate(&module)
+            .unwrap_or_else(|e| panic!("{include:?}: {}", e.emit_to_string(&source)));
+        let kernel = info.get_entry_point(0);
+        let used: Vec<u32> = module
+            .global_variables
+            .iter()
+            .filter(|(handle, _)| !kernel[*handle].is_empty())
+            .filter_map(|(_, variable)| variable.binding)
+            .filter(|binding| binding.group == 3)
+            .map(|binding| binding.binding)
+            .collect();
+        let bound = include.bindings();
+        assert!(used.iter().all(|binding| bound.contains(binding)), "{include:?} uses {used:?} of {bound:?}");
+        assert!(bound.len() < used.len() + 2, "{include:?} binds {bound:?} for {used:?}");
+        fewest = fewest.min(bound.len());
+    }
+    assert_eq!(fewest, 4);
 }
 
 /// Name, offset and size of each member of a struct, and its whole size.
@@ -69,7 +122,16 @@ fn rust_layouts() -> BTreeMap<String, Layout> {
             flags,
             node
         }),
-        layout_of!(Streams { first_index, first_normal, first_tex_coord_0, first_tex_coord_1, first_color, _pad }),
+        layout_of!(Streams {
+            first_index,
+            first_normal,
+            first_tex_coord_0,
+            first_tex_coord_1,
+            first_color,
+            first_wide_node,
+            _pad
+        }),
+        layout_of!(WideNode { origin, exponents, planes, children }),
         layout_of!(Material {
             base_color,
             emissive,
@@ -108,7 +170,7 @@ fn rust_layouts() -> BTreeMap<String, Layout> {
             _pad
         }),
         layout_of!(Ray { origin, t_min, direction, t_max }),
-        layout_of!(RayBatch { count, ray_mask, _pad }),
+        layout_of!(RayBatch { count, ray_mask, first, _pad }),
         layout_of!(Hit { t, u, v, instance, primitive, triangle, back, _pad }),
     ])
 }

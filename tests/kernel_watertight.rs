@@ -7,10 +7,10 @@ mod kernel_support;
 use glam::{DAffine3, DQuat, DVec3, Vec3};
 use kernel_support::{Builder, Mesh, Placed, Random, arrays_by, tracers};
 use ropewalk::device::layout::{NONE, Ray};
-use ropewalk::trace::{Cpu, Emulated, Tracer};
+use ropewalk::trace::{Cpu, Emulated, Layout, Tracer};
 
 /// Rays into each mesh at each scale: half of them with scaled geometry, half with a scaled instance of it.
-const RAYS: usize = 1_000_000;
+const RAYS: usize = 500_000;
 /// Rays traced at once.
 const BATCH: usize = 1 << 16;
 
@@ -62,14 +62,19 @@ fn no_ray_escapes_closed_meshes(tracer: &mut dyn Tracer) {
             let size = DVec3::splat(scale.into());
             let translation = size * DVec3::new(0.3, -2.0, 1.0);
             let world_from_local = DAffine3::from_scale_rotation_translation(size, rotation, translation);
-            none_escapes(tracer, Builder::Median, &mesh, 1.0, world_from_local);
+            none_escapes(tracer, Builder::Product, &mesh, 1.0, world_from_local);
         }
     }
 }
 
 #[test]
 fn no_ray_escapes_closed_meshes_emulated() {
-    no_ray_escapes_closed_meshes(&mut Emulated::default());
+    no_ray_escapes_closed_meshes(&mut Emulated::default().with_layout(Layout::Rope));
+}
+
+#[test]
+fn no_ray_escapes_closed_meshes_emulated_wide() {
+    no_ray_escapes_closed_meshes(&mut Emulated::default().with_layout(Layout::Wide));
 }
 
 #[test]
@@ -80,8 +85,16 @@ fn no_ray_escapes_closed_meshes_cpu() {
 #[cfg(feature = "gpu")]
 #[test]
 fn no_ray_escapes_closed_meshes_gpu() {
-    if let Some(mut gpu) = kernel_support::gpu::tracer() {
-        no_ray_escapes_closed_meshes(&mut gpu);
+    if let Some(gpu) = kernel_support::gpu::tracer() {
+        no_ray_escapes_closed_meshes(&mut gpu.with_layout(Layout::Rope));
+    }
+}
+
+#[cfg(feature = "gpu")]
+#[test]
+fn no_ray_escapes_closed_meshes_gpu_wide() {
+    if let Some(gpu) = kernel_support::gpu::tracer() {
+        no_ray_escapes_closed_meshes(&mut gpu.with_layout(Layout::Wide));
     }
 }
 

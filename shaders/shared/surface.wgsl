@@ -29,7 +29,7 @@ struct Surface {
 
 fn surface_at(hit: Hit, direction: vec3<f32>) -> Surface {
     let instance = instances[hit.instance];
-    let triangle = triangles[hit.triangle];
+    let triangle = triangle_at(hit.triangle);
     let material = materials[instance.material];
     let place = place_on(instance, triangle, hit.u, hit.v);
     let anchor = anchor_on(instance, triangle, place.weights, -direction);

@@ -11,6 +11,13 @@ struct Node {
     primitives: u32,
 }
 
+struct WideNode {
+    origin: vec3<f32>,
+    exponents: u32,
+    planes: array<vec4<u32>, 3>,
+    children: array<u32, 8>,
+}
+
 struct Triangle {
     v0: vec3<f32>,
     primitive: u32,
@@ -43,7 +50,8 @@ struct Streams {
     first_tex_coord_0: u32,
     first_tex_coord_1: u32,
     first_color: u32,
-    _pad: array<u32, 3>,
+    first_wide_node: u32,
+    _pad: array<u32, 2>,
 }
 
 struct Material {
@@ -142,13 +150,13 @@ struct Hit {
 struct RayBatch {
     count: u32,
     ray_mask: u32,
-    _pad: vec2<u32>,
+    first: u32,
+    _pad: u32,
 }
 
 @group(0) @binding(0) var<storage, read> tlas_nodes: array<Node>;
 @group(0) @binding(1) var<storage, read> instances: array<Instance>;
-@group(0) @binding(2) var<storage, read> blas_nodes: array<Node>;
-@group(0) @binding(3) var<storage, read> triangles: array<Triangle>;
+// Binding 2 is blas_nodes or wide_nodes, binding 3 triangles: declared with the functions that read them.
 @group(0) @binding(4) var<storage, read> geometries: array<Streams>;
 @group(0) @binding(5) var<storage, read> indices: array<u32>;
 @group(0) @binding(6) var<storage, read> normals: array<f32>;

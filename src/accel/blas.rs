@@ -9,8 +9,9 @@ use super::sah::{self, SahParams};
 use super::stats::Stats;
 use super::tree::{Extent, Reference, TASK_MINIMUM};
 use super::validate::{StructureError, check_nodes};
+use super::wide::collapse;
 use crate::Result;
-use crate::device::layout::{Node, PrimitiveRange, Triangle};
+use crate::device::layout::{Node, PrimitiveRange, Triangle, WideNode};
 use crate::graph::{Geometry, Quality, Structure};
 use crate::math::Aabb;
 
@@ -19,6 +20,8 @@ use crate::math::Aabb;
 pub struct Blas {
     /// In depth-first order, escape indices relative to the first. Empty where there is nothing to hit.
     pub nodes: Vec<Node>,
+    /// The same hierarchy with eight children a node, indices relative to the first. Empty where `nodes` is.
+    pub wide_nodes: Vec<WideNode>,
     /// In leaf order; [`Triangle::primitive`] is the triangle's index in the geometry.
     pub triangles: Vec<Triangle>,
     /// The box around `triangles`, local space, not padded; empty without any.
@@ -86,7 +89,8 @@ impl Blas {
         // 3. Device arrays.
         let (nodes, order) = flatten(&tree);
         let triangles = order.par_iter().with_min_len(CHUNK).map(|&p| triangle(geometry, p)).collect();
-        let blas = Self { nodes, triangles, bounds: extent.aabb(), triangle_cost: params.triangle_cost };
+        let wide_nodes = collapse(&nodes);
+        let blas = Self { nodes, wide_nodes, triangles, bounds: extent.aabb(), triangle_cost: params.triangle_cost };
         debug_assert_eq!(blas.validate(), Ok(()));
         Ok(blas)
     }
@@ -101,7 +105,7 @@ impl Blas {
     /// The more the geometry deforms, the worse the structure: compare [`stats`](Self::stats) with those when it was built.
     #[must_use]
     pub fn refit(&mut self, geometry: &Geometry) -> bool {
-        let refitted = refit(&mut self.nodes, &mut self.triangles, geometry, self.triangle_cost);
+        let refitted = refit(&mut self.nodes, &mut self.wide_nodes, &mut self.triangles, geometry, self.triangle_cost);
         if let Some(refitted) = &refitted {
             self.bounds = refitted.bounds;
             debug_assert_eq!(self.validate(), Ok(()));
@@ -133,7 +137,7 @@ impl Blas {
 
     /// Sizes and quality. O(n).
     pub fn stats(&self) -> Stats {
-        let bytes = size_of_val(&*self.nodes) + size_of_val(&*self.triangles);
+        let bytes = size_of_val(&*self.nodes) + size_of_val(&*self.wide_nodes) + size_of_val(&*self.triangles);
         Stats { bytes, ..Stats::of(&self.nodes, self.triangle_cost) }
     }
 }

@@ -2,12 +2,14 @@
 
 use std::ops::Range;
 
-use glam::Vec3;
+use glam::{Vec3, Vec4, Vec4Swizzles};
 use rayon::prelude::*;
 
-use super::flatten::padded;
+use super::flatten::padded_lanes;
 use super::stats::half_area;
-use crate::device::layout::{NONE, Node, Triangle};
+use super::tree::LaneBox;
+use super::wide_refit::refit_wide;
+use crate::device::layout::{NONE, Node, Triangle, WideNode};
 use crate::graph::Geometry;
 use crate::math::Aabb;
 
@@ -25,6 +27,8 @@ pub(crate) struct Refitted {
     pub(crate) cost: f64,
     /// Where nodes changed; ascending.
     pub(crate) changed_nodes: Vec<Range<usize>>,
+    /// Where wide nodes changed: from the first to the last.
+    pub(crate) changed_wide_nodes: Option<Range<usize>>,
     /// Where triangles changed; ascending.
     pub(crate) changed_triangles: Vec<Range<usize>>,
 }
@@ -37,6 +41,7 @@ pub(crate) struct Refitted {
 /// lost two equal corners, or it is one that repeats triangles. What it holds is then unspecified.
 pub(crate) fn refit(
     nodes: &mut [Node],
+    wide_nodes: &mut [WideNode],
     triangles: &mut [Triangle],
     geometry: &Geometry,
     triangle_cost: f32,
@@ -56,15 +61,17 @@ pub(crate) fn refit(
             Some((task, subtree))
         })
         .collect::<Option<_>>()?;
+    let mut bounds = LaneBox::EMPTY;
     let mut refitted = Refitted {
         bounds: Aabb::EMPTY,
         old_cost: 0.0,
         cost: 0.0,
         changed_nodes: Vec::new(),
+        changed_wide_nodes: None,
         changed_triangles: Vec::new(),
     };
     for (task, subtree) in subtrees {
-        refitted.bounds = refitted.bounds.union(subtree.bounds);
+        bounds = bounds.union(subtree.bounds);
         refitted.old_cost += subtree.costs[0];
         refitted.cost += subtree.costs[1];
         if subtree.has_changed {
@@ -72,13 +79,15 @@ pub(crate) fn refit(
             append(&mut refitted.changed_triangles, task.first_triangle..task.first_triangle + task.triangles.len());
         }
     }
+    refitted.bounds = Aabb { min: bounds.min.xyz(), max: bounds.max.xyz() };
     // 2. What is above them.
     for index in upper.into_iter().rev() {
-        let (old, node, children) = around_children(nodes, index, 0, node_count);
-        nodes[index] = node;
+        let old = nodes[index];
+        let (bounds, children) = around_children(nodes, index, 0, node_count);
+        nodes[index] = with_bounds(&old, &bounds);
         refitted.old_cost += half_area(&old) * children;
-        refitted.cost += half_area(&node) * children;
-        if old != node {
+        refitted.cost += half_area(&nodes[index]) * children;
+        if nodes[index] != old {
             refitted.changed_nodes.push(index..index + 1);
         }
     }
@@ -86,6 +95,10 @@ pub(crate) fn refit(
     // The root is fetched once, and all else in proportion to it.
     refitted.old_cost = 1.0 + refitted.old_cost / old_root;
     refitted.cost = 1.0 + refitted.cost / nodes.first().map_or(1.0, half_area);
+    // 3. The wide nodes.
+    if !refitted.changed_triangles.is_empty() {
+        refitted.changed_wide_nodes = refit_wide(wide_nodes, triangles);
+    }
     Some(refitted)
 }
 
@@ -154,7 +167,7 @@ fn tasks<'a>(
 
 /// What became of a subtree.
 struct Subtree {
-    bounds: Aabb,
+    bounds: LaneBox,
     /// Old and new; in units of area.
     costs: [f64; 2],
     has_changed: bool,
@@ -163,57 +176,69 @@ struct Subtree {
 impl Task<'_> {
     /// `None` where a triangle has two equal corners.
     fn refit(&mut self, geometry: &Geometry, node_count: usize, triangle_cost: f32) -> Option<Subtree> {
-        let mut subtree = Subtree { bounds: Aabb::EMPTY, costs: [0.0; 2], has_changed: false };
-        for triangle in &mut *self.triangles {
-            let corners = geometry.indices.get(triangle.primitive as usize)?;
-            let [a, b, c] = corners.map(|v| geometry.positions.get(v as usize).copied().unwrap_or(Vec3::NAN));
-            let has_area = (a != b) & (b != c) & (c != a);
-            if !(has_area & a.is_finite() & b.is_finite() & c.is_finite()) {
-                return None;
-            }
-            let new = Triangle { v0: a.to_array(), v1: b.to_array(), v2: c.to_array(), ..*triangle };
-            subtree.has_changed |= bytemuck::cast::<_, [u64; 6]>(new) != bytemuck::cast::<_, [u64; 6]>(*triangle);
-            *triangle = new;
-        }
+        let mut subtree = Subtree { bounds: LaneBox::EMPTY, costs: [0.0; 2], has_changed: self.fetch(geometry)? };
         // Children before parents.
         for index in (0..self.nodes.len()).rev() {
             let node = self.nodes[index];
             let count = node.primitives.count();
-            let (old, new, fetches) = if count > 0 {
+            let (bounds, fetches) = if count > 0 {
                 let first = node.primitives.first() as usize - self.first_triangle;
                 let bounds = around(&self.triangles[first..first + count as usize]);
                 subtree.bounds = subtree.bounds.union(bounds);
-                let (min, max) = padded(bounds.min, bounds.max);
-                let new = Node { min: min.to_array(), max: max.to_array(), ..node };
-                (node, new, f64::from(count) * f64::from(triangle_cost))
+                (padded_lanes(bounds), f64::from(count) * f64::from(triangle_cost))
             } else {
                 around_children(self.nodes, index, self.first_node, node_count)
             };
+            let new = with_bounds(&node, &bounds);
             self.nodes[index] = new;
-            subtree.costs[0] += half_area(&old) * fetches;
+            subtree.costs[0] += half_area(&node) * fetches;
             subtree.costs[1] += half_area(&new) * fetches;
         }
         Some(subtree)
     }
+
+    /// Puts the triangles where those of `geometry` are. Whether any of them moved; `None` as [`refit`](Self::refit).
+    fn fetch(&mut self, geometry: &Geometry) -> Option<bool> {
+        let (mut difference, mut is_whole, mut zero) = (0, true, Vec3::ZERO);
+        for triangle in &mut *self.triangles {
+            let corners = geometry.indices.get(triangle.primitive as usize)?;
+            let [a, b, c] = corners.map(|v| geometry.positions.get(v as usize).copied().unwrap_or(Vec3::NAN));
+            is_whole &= (a != b) & (b != c) & (c != a);
+            // Unless some number is not finite.
+            zero += (a + b * 0.0 + c * 0.0) * 0.0;
+            let new = Triangle { v0: a.to_array(), v1: b.to_array(), v2: c.to_array(), ..*triangle };
+            let [new_bits, old_bits] = [new, *triangle].map(bytemuck::cast::<_, [u32; 12]>);
+            difference |= new_bits.iter().zip(&old_bits).fold(0, |bits, (a, b)| bits | (a ^ b));
+            *triangle = new;
+        }
+        (is_whole && zero == Vec3::ZERO).then_some(difference != 0)
+    }
 }
 
-fn around(triangles: &[Triangle]) -> Aabb {
-    Aabb::from_points(triangles.iter().flat_map(|t| [t.v0, t.v1, t.v2]).map(Vec3::from_array))
+pub(super) fn around(triangles: &[Triangle]) -> LaneBox {
+    let corners = triangles.iter().flat_map(|triangle| bytemuck::cast::<_, [Vec4; 3]>(*triangle));
+    corners.fold(LaneBox::EMPTY, LaneBox::with_point)
 }
 
-/// An inner node, the same around its children, and how many these are. `nodes` start at `first` of the whole array.
-fn around_children(nodes: &[Node], index: usize, first: usize, node_count: usize) -> (Node, Node, f64) {
-    let node = nodes[index];
-    let (mut bounds, mut children) = (Aabb::EMPTY, 0.0);
-    let mut child = index + 1;
+/// The box around an inner node's children, and how many these are. `nodes` start at `first` of the whole array.
+fn around_children(nodes: &[Node], index: usize, first: usize, node_count: usize) -> (LaneBox, f64) {
+    let (mut bounds, mut children) = (LaneBox::EMPTY, 0.0);
     let end_of = |node: &Node| end(node, node_count) - first;
-    while child < end_of(&node) {
-        let inside = Aabb { min: Vec3::from_array(nodes[child].min), max: Vec3::from_array(nodes[child].max) };
-        bounds = bounds.union(inside);
+    let (mut child, end) = (index + 1, end_of(&nodes[index]));
+    while child < end {
+        let [min, max] = bytemuck::cast::<_, [Vec4; 2]>(nodes[child]);
+        bounds = bounds.union(LaneBox { min, max });
         children += 1.0;
         child = end_of(&nodes[child]);
     }
-    (node, Node { min: bounds.min.to_array(), max: bounds.max.to_array(), ..node }, children)
+    (bounds, children)
+}
+
+/// A node with another box. What is in the fourth lanes of that does not matter.
+#[inline]
+fn with_bounds(node: &Node, bounds: &LaneBox) -> Node {
+    let [min, max] = bytemuck::cast::<_, [Vec4; 2]>(*node);
+    bytemuck::cast([bounds.min.with_w(min.w), bounds.max.with_w(max.w)])
 }
 
 /// The index after a node's subtree.
@@ -269,19 +294,20 @@ mod tests {
         for mut nodes in [blas.nodes.clone(), thinned(&blas.nodes)] {
             let mut triangles = blas.triangles.clone();
             let old_cost = Stats::of(&nodes, COST).sah_cost;
-            let refitted = refit(&mut nodes, &mut triangles, &sheet(1.0), COST).unwrap();
+            let refitted = refit(&mut nodes, &mut [], &mut triangles, &sheet(1.0), COST).unwrap();
             let valid = check_nodes(&nodes, |range| {
                 let first = range.first() as usize;
-                Some(around(&triangles[first..first + range.count() as usize]))
+                let bounds = around(&triangles[first..first + range.count() as usize]);
+                Some(Aabb { min: bounds.min.xyz(), max: bounds.max.xyz() })
             });
             assert_eq!(valid, Ok(()));
             let cost = Stats::of(&nodes, COST).sah_cost;
             assert!(cost > old_cost * 1.01, "{old_cost} to {cost}");
             assert!((refitted.old_cost / old_cost - 1.0).abs() < 1e-9, "{} {old_cost}", refitted.old_cost);
             assert!((refitted.cost / cost - 1.0).abs() < 1e-9, "{} {cost}", refitted.cost);
-            assert_eq!(refitted.changed_nodes.len(), 1, "all that touches is one range");
-            let everything = 0..triangles.len();
-            assert_eq!(refitted.changed_triangles, [everything]);
+            let total = |ranges: &[Range<usize>]| ranges.iter().map(ExactSizeIterator::len).sum::<usize>();
+            assert_eq!(total(&refitted.changed_nodes), nodes.len());
+            assert_eq!(total(&refitted.changed_triangles), triangles.len());
         }
     }
 
@@ -293,7 +319,7 @@ mod tests {
         let mut geometry = sheet(0.0);
         geometry.positions =
             geometry.positions.iter().enumerate().map(|(i, p)| if i == 5 { *p * 0.99 } else { *p }).collect();
-        let refitted = refit(&mut blas.nodes, &mut blas.triangles, &geometry, COST).unwrap();
+        let refitted = refit(&mut blas.nodes, &mut blas.wide_nodes, &mut blas.triangles, &geometry, COST).unwrap();
         let told = |ranges: &[Range<usize>], i: usize| ranges.iter().any(|range| range.contains(&i));
         for (i, (new, old)) in blas.nodes.iter().zip(&before.nodes).enumerate() {
             assert!(new == old || told(&refitted.changed_nodes, i), "node {i}");
@@ -303,7 +329,7 @@ mod tests {
         }
         let count: usize = refitted.changed_triangles.iter().map(ExactSizeIterator::len).sum();
         assert!(count > 0 && count < blas.triangles.len() / 2, "{count} of {}", blas.triangles.len());
-        let nothing = refit(&mut blas.nodes, &mut blas.triangles, &geometry, COST).unwrap();
+        let nothing = refit(&mut blas.nodes, &mut blas.wide_nodes, &mut blas.triangles, &geometry, COST).unwrap();
         assert!(nothing.changed_nodes.is_empty() && nothing.changed_triangles.is_empty());
     }
 }

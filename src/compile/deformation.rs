@@ -6,9 +6,9 @@ use serde::Serialize;
 
 use crate::graph::{Geometry, Quality, Structure};
 
-/// How much dearer a refitted structure may get than it was when it was built or first refitted, by its SAH cost, before it is
-/// built anew. `docs/BENCHMARKS.md` has what rays cost at other limits.
-pub(super) const MAX_DECAY: f64 = 1.5;
+/// How much dearer a refitted structure may get than it was when it was built, by its SAH cost, before it is built anew.
+/// `docs/BENCHMARKS.md` has what rays cost at other limits.
+pub(super) const MAX_DECAY: f64 = 1.25;
 
 /// Two changes with at most so many compiles from one to the next are in a row.
 const RECENT: u64 = 8;
@@ -90,7 +90,7 @@ pub struct BlasBuilds {
     pub new: usize,
     /// Their geometry got other triangles, or some triangles got or lost two equal corners.
     pub other_triangles: usize,
-    /// Their geometry had deformed so far that refitting them made them half as dear again as when they were built.
+    /// Their geometry had deformed so far that refitting made them a quarter dearer than they were when built.
     pub decayed: usize,
     /// Their geometry asked for another structure, or deformed and asks for one that is not refitted.
     pub chosen: usize,

@@ -23,6 +23,7 @@ pub(super) struct GeometryCache {
     /// Of all entries.
     triangle_count: usize,
     nodes: Arena,
+    wide_nodes: Arena,
     triangles: Arena,
     streams: VertexStreams,
 }
@@ -38,6 +39,7 @@ pub(super) struct Entry {
     built_cost: Option<f64>,
     /// In `blas_nodes`; empty for a geometry that nothing can hit.
     pub(super) nodes: Range<u32>,
+    wide_nodes: Range<u32>,
     /// In `triangles`.
     pub(super) triangles: Range<u32>,
     pub(super) streams: StreamRanges,
@@ -94,6 +96,7 @@ impl GeometryCache {
             entries: SecondaryMap::new(),
             triangle_count: 0,
             nodes: Arena::new("the bottom-level nodes array"),
+            wide_nodes: Arena::new("the wide nodes array"),
             triangles: Arena::new("the triangles array"),
             streams: VertexStreams::new(),
         }
@@ -139,7 +142,7 @@ impl GeometryCache {
         // 5. Streams.
         for &key in &update.changed {
             let (geometry, entry) = (scene.geometry(key)?, &mut self.entries[key]);
-            self.streams.write(&mut entry.streams, &entry.source, geometry, arrays)?;
+            self.streams.write(&mut entry.streams, &entry.source, geometry, &entry.wide_nodes, arrays)?;
             self.triangle_count = self.triangle_count - entry.triangle_count() + geometry.indices.len();
             entry.source = geometry.clone();
             entry.encloses = OnceLock::new();
@@ -174,30 +177,36 @@ impl GeometryCache {
             ranges.map(|range| range.start as usize..range.end as usize).collect()
         };
         let (node_ranges, triangle_ranges) = (ranges(|entry| &entry.nodes), ranges(|entry| &entry.triangles));
+        let wide_ranges = ranges(|entry| &entry.wide_nodes);
         // 1. All at once.
         let nodes = disjoint_mut(arrays.blas_nodes.unmarked_mut(), &node_ranges);
+        let wide_nodes = disjoint_mut(arrays.wide_nodes.unmarked_mut(), &wide_ranges);
         let triangles = disjoint_mut(arrays.triangles.unmarked_mut(), &triangle_ranges);
-        let refitted: Vec<Option<(Refitted, Support)>> = (jobs.par_iter(), nodes, triangles)
+        let refitted: Vec<Option<(Refitted, Support)>> = (jobs.par_iter(), nodes, wide_nodes, triangles)
             .into_par_iter()
-            .map(|(&(_, geometry), nodes, triangles)| {
-                let refitted = refit(nodes, triangles, geometry, BuildParams::default().triangle_cost)?;
+            .map(|(&(_, geometry), nodes, wide_nodes, triangles)| {
+                let refitted = refit(nodes, wide_nodes, triangles, geometry, BuildParams::default().triangle_cost)?;
                 let support = Support::coarse(nodes, triangles, refitted.bounds);
                 Some((refitted, support))
             })
             .collect();
         // 2. What came of it.
-        for ((job, refitted), (nodes, triangles)) in
-            jobs.iter().zip(refitted).zip(node_ranges.into_iter().zip(triangle_ranges))
-        {
+        let ranges = node_ranges.into_iter().zip(wide_ranges).zip(triangle_ranges);
+        for ((job, refitted), ((nodes, wide_nodes), triangles)) in jobs.iter().zip(refitted).zip(ranges) {
             let Some((refitted, support)) = refitted else {
                 // Some of it may have been written.
                 arrays.blas_nodes.mark(nodes);
+                arrays.wide_nodes.mark(wide_nodes);
                 arrays.triangles.mark(triangles);
                 to_build.push((*job, BuildReason::Triangles));
                 continue;
             };
             let within = |range: Range<usize>, of: &Range<usize>| of.start + range.start..of.start + range.end;
             refitted.changed_nodes.into_iter().for_each(|range| arrays.blas_nodes.mark(within(range, &nodes)));
+            refitted
+                .changed_wide_nodes
+                .into_iter()
+                .for_each(|range| arrays.wide_nodes.mark(within(range, &wide_nodes)));
             refitted.changed_triangles.into_iter().for_each(|range| arrays.triangles.mark(within(range, &triangles)));
             let entry = &mut self.entries[job.0];
             entry.support = support;
@@ -227,6 +236,7 @@ impl GeometryCache {
             update.built.add(geometry);
             let entry = &mut self.entries[key];
             self.nodes.replace(&mut arrays.blas_nodes, &mut entry.nodes, &blas.nodes)?;
+            self.wide_nodes.replace(&mut arrays.wide_nodes, &mut entry.wide_nodes, &blas.wide_nodes)?;
             self.triangles.replace(&mut arrays.triangles, &mut entry.triangles, &blas.triangles)?;
             (entry.structure, entry.built_cost, entry.support) = (structure, None, support);
         }
@@ -237,6 +247,7 @@ impl GeometryCache {
         let Some(entry) = self.entries.remove(key) else { return };
         self.triangle_count -= entry.triangle_count();
         self.nodes.release(&mut arrays.blas_nodes, entry.nodes);
+        self.wide_nodes.release(&mut arrays.wide_nodes, entry.wide_nodes);
         self.triangles.release(&mut arrays.triangles, entry.triangles);
         self.streams.release(entry.streams, arrays);
     }
@@ -251,6 +262,7 @@ impl Entry {
             structure: Structure::default(),
             built_cost: None,
             nodes: 0..0,
+            wide_nodes: 0..0,
             triangles: 0..0,
             streams: StreamRanges::default(),
             support: Support::default(),

@@ -43,12 +43,13 @@ impl VertexStreams {
     }
 
     /// Writes the streams of a geometry in the place of those of `old`, which lie at `ranges`: those that are shared with it
-    /// stay as they are, those of the same length where they are.
+    /// stay as they are, those of the same length where they are. Its record also tells where its wide nodes are.
     pub(super) fn write(
         &mut self,
         ranges: &mut StreamRanges,
         old: &Geometry,
         geometry: &Geometry,
+        wide_nodes: &Range<u32>,
         arrays: &mut DeviceArrays,
     ) -> Result<()> {
         // Without a stream there is nothing to look up by vertex.
@@ -78,7 +79,8 @@ impl VertexStreams {
             first_tex_coord_0: first_or_none(&ranges.tex_coords[0]),
             first_tex_coord_1: first_or_none(&ranges.tex_coords[1]),
             first_color: first_or_none(&ranges.colors),
-            _pad: [0; 3],
+            first_wide_node: first_or_none(wide_nodes),
+            _pad: [0; 2],
         };
         self.records.replace(&mut arrays.geometries, &mut ranges.record, &[record])
     }

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use bytemuck::Pod;
 
-use super::layout::{Instance, Light, Material, Node, Streams, TextureInfo, Triangle};
+use super::layout::{Instance, Light, Material, Node, Streams, TextureInfo, Triangle, WideNode};
 
 /// A compiled scene: what the traversal kernel reads. Indices in one array refer to another as
 /// [`layout`](super::layout) says.
@@ -16,6 +16,8 @@ pub struct DeviceArrays {
     pub instances: DeviceBuffer<Instance>,
     /// The bottom-level hierarchies, one after the other.
     pub blas_nodes: DeviceBuffer<Node>,
+    /// The same with eight children a node.
+    pub wide_nodes: DeviceBuffer<WideNode>,
     /// Their triangles, in leaf order.
     pub triangles: DeviceBuffer<Triangle>,
     /// One a geometry.
@@ -47,6 +49,7 @@ impl DeviceArrays {
         bytes(&self.tlas_nodes)
             + bytes(&self.instances)
             + bytes(&self.blas_nodes)
+            + bytes(&self.wide_nodes)
             + bytes(&self.triangles)
             + bytes(&self.geometries)
             + bytes(&self.indices)
@@ -64,6 +67,7 @@ impl DeviceArrays {
         self.tlas_nodes.dirty.clear();
         self.instances.dirty.clear();
         self.blas_nodes.dirty.clear();
+        self.wide_nodes.dirty.clear();
         self.triangles.dirty.clear();
         self.geometries.dirty.clear();
         self.indices.dirty.clear();

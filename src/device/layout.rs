@@ -23,7 +23,7 @@ pub struct Node {
 
 impl Node {
     /// No box of a node in use has a corner this far out: [`f32::MAX`] less one ulp.
-    const UNUSED: f32 = f32::from_bits(f32::MAX.to_bits() - 1);
+    pub(crate) const UNUSED: f32 = f32::from_bits(f32::MAX.to_bits() - 1);
 
     /// A leaf of the top level that holds nothing: an inner node without children, so that traversal goes on with the next
     /// node whether it meets the box or not. The box lies where no ray comes by. It must not be the last of an array. An inner
@@ -69,10 +69,31 @@ impl PrimitiveRange {
         self.0 & (Self::MAX_FIRST - 1)
     }
 
+    /// In a [`WideNode`]: the child at an index.
+    pub fn inner(index: u32) -> Self {
+        debug_assert!(index < Self::MAX_FIRST, "{index}");
+        Self(index)
+    }
+
     /// How many primitives; 0 for an inner node.
     pub fn count(self) -> u32 {
         self.0 >> 28
     }
+}
+
+/// Eight children of a bottom-level hierarchy, their boxes in a grid of 256 steps a side: what coherent packets and single rays walk
+/// on the CPU. The boxes are larger than those of [`Node`] by up to a step and never smaller (`accel::wide`). 96 bytes.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct WideNode {
+    /// Least corner of the grid, local space.
+    pub origin: [f32; 3],
+    /// The length of a step along x, y and z: the exponents of powers of two, biased by 127 as in an `f32`. Then a bit for each child in use.
+    pub exponents: [u8; 4],
+    /// For each axis the least planes of the eight children, then the greatest, in steps from `origin`.
+    pub planes: [[[u8; 8]; 2]; 3],
+    /// A leaf's triangles, or, with count 0, the index of a child relative to the structure's first wide node.
+    pub children: [PrimitiveRange; 8],
 }
 
 /// A triangle of a bottom-level structure, in leaf order. 48 bytes.
@@ -133,7 +154,7 @@ bitflags::bitflags! {
     }
 }
 
-/// Where a geometry's vertex streams start; [`NONE`] for a stream it does not have. 32 bytes.
+/// Where a geometry's vertex streams and wide nodes start; [`NONE`] for what it does not have. 32 bytes.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
 pub struct Streams {
@@ -148,8 +169,10 @@ pub struct Streams {
     pub first_tex_coord_1: u32,
     /// Into `colors`, in pairs of `u32` (four 16-bit unorms, red lowest).
     pub first_color: u32,
+    /// Where the bottom-level structure starts in the `wide_nodes` array.
+    pub first_wide_node: u32,
     /// Zero.
-    pub _pad: [u32; 3],
+    pub _pad: [u32; 2],
 }
 
 /// A [`graph::Material`](crate::graph::Material) as the kernel reads it. 80 bytes.
@@ -362,6 +385,8 @@ pub struct RayBatch {
     pub count: u32,
     /// Instances whose mask shares no bit with this are not hit.
     pub ray_mask: u32,
+    /// The first of them.
+    pub first: u32,
     /// Zero.
-    pub _pad: [u32; 2],
+    pub _pad: u32,
 }

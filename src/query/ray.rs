@@ -99,13 +99,18 @@ impl Queries<'_> {
     /// What the kernel hits by this ray of its own, which is relative to the render origin: the pixel's truth, tie or not.
     pub(crate) fn closest_drawn(&self, ray: &layout::Ray) -> Option<Hit> {
         let hit = closest_hit(&KernelScene::new(self.compiler.arrays()), ray, self.mask);
+        self.drawn(&hit, f64::from(hit.t))
+    }
+
+    /// What the kernel hit, at a distance in the ray's own terms.
+    pub(crate) fn drawn(&self, hit: &layout::Hit, distance: f64) -> Option<Hit> {
         let (u, v) = (f64::from(hit.u), f64::from(hit.v));
         let found = Found {
             slot: hit.instance,
             triangle: hit.triangle,
             primitive: hit.primitive,
             weights: DVec3::new(1.0 - u - v, u, v),
-            distance: f64::from(hit.t),
+            distance,
             back: hit.back != 0,
         };
         if hit.instance == NONE { None } else { self.hit(&found) }

@@ -1,24 +1,30 @@
 //! The renderer: one call a frame.
 
+mod device;
+mod rays;
 mod report;
 mod view;
 
 use std::time::{Duration, Instant};
 
-use serde::Serialize;
-
+pub use device::DeviceChoice;
+pub use rays::ClosestHits;
 pub use report::FrameReport;
 pub use view::{Sky, View};
 
+use glam::DVec3;
+
+use device::Device;
+
 use crate::Result;
-use crate::compile::Compiler;
+use crate::compile::{CompileReport, Compiler};
 use crate::graph::Scene;
 use crate::image::Image;
 use crate::query::{Hit, Queries};
 #[cfg(feature = "gpu")]
-use crate::trace::gpu::{Adapters, GpuOptions, GpuTracer};
+use crate::trace::gpu::GpuTracer;
 use crate::trace::kernel::camera_ray;
-use crate::trace::{Cpu, DeviceInfo, Emulated, FrameRequest, Tracer};
+use crate::trace::{DeviceInfo, FrameRequest, Tracer};
 
 /// Draws scenes by ray tracing.
 ///
@@ -45,8 +51,7 @@ use crate::trace::{Cpu, DeviceInfo, Emulated, FrameRequest, Tracer};
 /// ```
 pub struct Renderer {
     compiler: Compiler,
-    tracer: Box<dyn Tracer>,
-    fallback: Option<String>,
+    device: Device,
 }
 
 /// How a [`Renderer`] is set up.
@@ -56,21 +61,6 @@ pub struct RendererOptions {
     pub device: DeviceChoice,
 }
 
-/// What traces the rays.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum DeviceChoice {
-    /// A hardware GPU if there is one, else the CPU.
-    #[default]
-    Auto,
-    /// A GPU, or a software implementation of one; an error if there is neither.
-    Gpu,
-    /// All CPU cores.
-    Cpu,
-    /// The GPU kernel line for line on one CPU thread: the paper's "Emulated".
-    Emulated,
-}
-
 impl Renderer {
     /// A renderer with its own device.
     ///
@@ -78,49 +68,77 @@ impl Renderer {
     /// [`Error::NoGpu`](crate::Error::NoGpu) if [`DeviceChoice::Gpu`] was asked for and there is none, naming each adapter and what is wrong
     /// with it. [`DeviceChoice::Auto`] falls back to the CPU instead: see [`fallback`](Self::fallback).
     pub fn new(options: &RendererOptions) -> Result<Self> {
-        let (tracer, fallback): (Box<dyn Tracer>, _) = match options.device {
-            DeviceChoice::Cpu => (Box::new(Cpu::default()), None),
-            DeviceChoice::Emulated => (Box::new(Emulated::default()), None),
-            DeviceChoice::Gpu => (open_gpu(options.device)?, None),
-            DeviceChoice::Auto => match open_gpu(options.device) {
-                Ok(gpu) => (gpu, None),
-                Err(reason) => (Box::new(Cpu::default()), Some(reason.to_string())),
-            },
-        };
-        Ok(Self { compiler: Compiler::new(), tracer, fallback })
+        Ok(Self { compiler: Compiler::new(), device: Device::open(options.device)? })
     }
 
     /// A renderer with an executor of the application's: a `trace::gpu::GpuTracer` on the
-    /// application's own device, say.
+    /// application's own device, say. Should that device be lost, every call fails with
+    /// [`Error::DeviceLost`](crate::Error::DeviceLost) until [`set_tracer`](Self::set_tracer).
     pub fn with_tracer(tracer: impl Tracer + 'static) -> Self {
-        Self { compiler: Compiler::new(), tracer: Box::new(tracer), fallback: None }
+        Self { compiler: Compiler::new(), device: Device::of_application(Box::new(tracer)) }
+    }
+
+    /// Goes on with another executor of the application's, which is then given the scene as it was compiled: nothing is built
+    /// again. On a new device after the old one was lost, say.
+    pub fn set_tracer(&mut self, tracer: impl Tracer + 'static) {
+        self.device = Device::of_application(Box::new(tracer));
     }
 
     /// Why [`DeviceChoice::Auto`] came down to the CPU; `None` if it did not.
     pub fn fallback(&self) -> Option<&str> {
-        self.fallback.as_deref()
+        self.device.fallback()
     }
 
     /// What traces.
     pub fn device(&self) -> &DeviceInfo {
-        self.tracer.device()
+        self.device.tracer().device()
+    }
+
+    /// The GPU that traces, for work of the application's own on its device; `None` if none does. It has the scene as of the
+    /// last [`update`](Self::update) or [`render`](Self::render). When its device is lost the next call replaces it.
+    #[cfg(feature = "gpu")]
+    pub fn gpu(&mut self) -> Option<&mut GpuTracer> {
+        self.device.tracer_mut().as_gpu()
+    }
+
+    /// Brings the device up to date with the scene and draws nothing: for rays of the application's own on the
+    /// [GPU](Self::gpu). Costs what [`Compiler::catch_up`] and the copy of what changed cost.
+    ///
+    /// # Errors
+    /// As [`render`](Self::render).
+    pub fn update(&mut self, scene: &mut Scene) -> Result<CompileReport> {
+        self.device.recover()?;
+        let report = self.compiler.catch_up(scene)?;
+        let uploaded = self.device.tracer_mut().upload(self.compiler.arrays_mut());
+        self.device.noted(uploaded)?;
+        Ok(report)
+    }
+
+    /// The point of the world that is (0, 0, 0) on the device, where numbers are f32: it follows the camera. It may move with each
+    /// [`update`](Self::update) and [`render`](Self::render).
+    pub fn origin(&self) -> DVec3 {
+        self.compiler.origin()
     }
 
     /// Draws the scene as it is now: finds what changed since the last call, updates what depends on it, traces.
     /// The frame stays on the device; [`Frame::image`] reads it back.
     ///
     /// # Errors
-    /// As [`View::validate`]; [`Error::Limit`](crate::Error::Limit) if scene or image are too large for the device, [`Error::Gpu`](crate::Error::Gpu) if the driver fails.
+    /// As [`View::validate`]; [`Error::Limit`](crate::Error::Limit) if scene or image are too large for the device;
+    /// [`Error::DeviceLost`](crate::Error::DeviceLost) and [`Error::OutOfMemory`](crate::Error::OutOfMemory), after which the next call
+    /// does as [`DeviceChoice`] says; [`Error::Gpu`](crate::Error::Gpu) if the driver fails otherwise.
     pub fn render(&mut self, scene: &mut Scene, view: &View) -> Result<Frame<'_>> {
         let start = Instant::now();
         view.validate()?;
+        self.device.recover()?;
 
         // 1. Catch up with the scene.
         let compile = self.compiler.compile(scene, view.observer())?;
 
         // 2. Copy what changed.
         let upload_start = Instant::now();
-        let uploaded_bytes = self.tracer.upload(self.compiler.arrays_mut())?;
+        let uploaded = self.device.tracer_mut().upload(self.compiler.arrays_mut());
+        let uploaded_bytes = self.device.noted(uploaded)?;
         let upload_time = upload_start.elapsed();
 
         // 3. Trace.
@@ -128,18 +146,19 @@ impl Renderer {
         let arrays = self.compiler.arrays();
         let params = view.params(self.compiler.origin(), arrays.lights.len() as u32);
         let request = FrameRequest { params, needs: compile.needs, aovs: view.aovs };
-        self.tracer.render(arrays, &request)?;
+        let traced = self.device.tracer_mut().render(arrays, &request);
+        self.device.noted(traced)?;
         let trace_time = trace_start.elapsed();
 
         let report = FrameReport {
-            device: self.tracer.device().clone(),
+            device: self.device().clone(),
             compile,
             uploaded_bytes,
             upload_time,
             trace_time,
             total_time: start.elapsed(),
         };
-        Ok(Frame { tracer: &*self.tracer, report })
+        Ok(Frame { device: &self.device, report })
     }
 }
 
@@ -189,7 +208,7 @@ impl Renderer {
 
 /// A rendered frame, on the device that made it, until the next one.
 pub struct Frame<'r> {
-    tracer: &'r dyn Tracer,
+    device: &'r Device,
     report: FrameReport,
 }
 
@@ -202,32 +221,21 @@ impl Frame<'_> {
     /// Copies the frame to main memory.
     ///
     /// # Errors
+    /// [`Error::DeviceLost`](crate::Error::DeviceLost), [`Error::OutOfMemory`](crate::Error::OutOfMemory) or
     /// [`Error::Gpu`](crate::Error::Gpu) if the driver fails.
     pub fn image(&self) -> Result<Image> {
-        self.tracer.read()
+        self.device.noted(self.device.tracer().read())
     }
 
     /// The frame's linear colour where it is, to be drawn to a window: an `Rgba32Float` texture on the renderer's device, to be bound
     /// (unfiltered) or copied from. `None` if no GPU traced it.
     #[cfg(feature = "gpu")]
     pub fn texture(&self) -> Option<&wgpu::Texture> {
-        self.tracer.texture()
+        self.device.tracer().texture()
     }
 
     /// How long the GPU took by its own clock; `None` on a CPU, and where the device has no clock. Waits for the frame.
     pub fn gpu_time(&self) -> Option<Duration> {
-        self.tracer.trace_time()
+        self.device.tracer().trace_time()
     }
-}
-
-/// A GPU; where it was asked for by name, a software one too.
-#[cfg(feature = "gpu")]
-fn open_gpu(choice: DeviceChoice) -> Result<Box<dyn Tracer>> {
-    let adapters = if choice == DeviceChoice::Gpu { Adapters::Any } else { Adapters::Hardware };
-    Ok(Box::new(GpuTracer::new(&GpuOptions { adapters, ..GpuOptions::default() })?))
-}
-
-#[cfg(not(feature = "gpu"))]
-fn open_gpu(_: DeviceChoice) -> Result<Box<dyn Tracer>> {
-    Err(crate::Error::NoGpu { reason: "Ropewalk was built without its `gpu` feature".to_owned() })
 }

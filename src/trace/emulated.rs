@@ -1,8 +1,8 @@
 //! The `emulated` executor: the GPU kernel in Rust, one ray after the other (the paper's "Emulated").
 
-use super::kernel::{KernelScene, any_hit, closest_hit, render_pixel};
+use super::kernel::{KernelScene, any_hit, camera_ray, closest_hit, count_any, count_closest, render_pixel};
 use super::planes::Planes;
-use super::{DeviceInfo, FrameRequest, Tracer};
+use super::{Counts, DeviceInfo, FrameRequest, Layout, Tracer};
 use crate::Result;
 use crate::device::DeviceArrays;
 use crate::device::layout::{Hit, Ray};
@@ -12,13 +12,41 @@ use crate::image::Image;
 #[derive(Debug)]
 pub struct Emulated {
     device: DeviceInfo,
+    layout: Layout,
     frame: Planes,
+}
+
+impl Emulated {
+    /// Walks the arrays in another way than by default: the hits are the same.
+    #[must_use]
+    pub fn with_layout(self, layout: Layout) -> Self {
+        Self { layout, ..self }
+    }
+
+    /// What [`closest_hits`](Tracer::closest_hits) reads and tests.
+    pub fn count_closest_hits(&self, arrays: &DeviceArrays, rays: &[Ray], ray_mask: u32) -> Counts {
+        let scene = KernelScene::with_layout(arrays, self.layout);
+        sum(rays.iter().map(|ray| count_closest(&scene, ray, ray_mask)))
+    }
+
+    /// What [`any_hits`](Tracer::any_hits) reads and tests.
+    pub fn count_any_hits(&self, arrays: &DeviceArrays, rays: &[Ray], ray_mask: u32) -> Counts {
+        let scene = KernelScene::with_layout(arrays, self.layout);
+        sum(rays.iter().map(|ray| count_any(&scene, ray, ray_mask)))
+    }
+}
+
+fn sum(counts: impl Iterator<Item = Counts>) -> Counts {
+    counts.fold(Counts::default(), |mut sum, counts| {
+        sum += counts;
+        sum
+    })
 }
 
 impl Default for Emulated {
     fn default() -> Self {
         let device = DeviceInfo { executor: "emulated", name: "1 thread".to_owned() };
-        Self { device, frame: Planes::default() }
+        Self { device, layout: Layout::default(), frame: Planes::default() }
     }
 }
 
@@ -33,12 +61,14 @@ impl Tracer for Emulated {
     }
 
     fn render(&mut self, arrays: &DeviceArrays, request: &FrameRequest) -> Result<()> {
-        let scene = KernelScene::new(arrays);
+        let scene = KernelScene::with_layout(arrays, self.layout);
         let params = &request.params;
         let mut frame = Planes::new(params.width, params.height, request.aovs)?;
         for y in 0..params.height {
             for x in 0..params.width {
-                frame.push(&render_pixel(&scene, params, x, y));
+                let primary = camera_ray(params, x, y);
+                let hit = closest_hit(&scene, &primary, params.ray_mask);
+                frame.push(&render_pixel(&mut &scene, params, &primary, hit));
             }
         }
         self.frame = frame;
@@ -50,12 +80,12 @@ impl Tracer for Emulated {
     }
 
     fn closest_hits(&mut self, arrays: &DeviceArrays, rays: &[Ray], ray_mask: u32) -> Result<Vec<Hit>> {
-        let scene = KernelScene::new(arrays);
+        let scene = KernelScene::with_layout(arrays, self.layout);
         Ok(rays.iter().map(|ray| closest_hit(&scene, ray, ray_mask)).collect())
     }
 
     fn any_hits(&mut self, arrays: &DeviceArrays, rays: &[Ray], ray_mask: u32) -> Result<Vec<bool>> {
-        let scene = KernelScene::new(arrays);
+        let scene = KernelScene::with_layout(arrays, self.layout);
         Ok(rays.iter().map(|ray| any_hit(&scene, ray, ray_mask)).collect())
     }
 }

@@ -5,12 +5,14 @@ mod emulated;
 #[cfg(feature = "gpu")]
 pub mod gpu;
 pub(crate) mod kernel;
+mod layout;
 mod planes;
 pub mod shader;
 
 pub use cpu::Cpu;
 pub use emulated::Emulated;
 pub(crate) use kernel::MAX_DEPTH;
+pub use layout::{Counts, Layout};
 
 use std::time::Duration;
 
@@ -28,8 +30,9 @@ use crate::image::Image;
 /// Call [`upload`](Self::upload) after the arrays change and before tracing. A ray with a number that is not finite, or
 /// with a direction of zero, hits nothing or anything, but does no harm.
 ///
-/// Each call may fail with [`Error::Gpu`](crate::Error::Gpu), where the driver does, and with
-/// [`Error::Limit`](crate::Error::Limit), where an image or a batch is too large for the device.
+/// Each call may fail with [`Error::DeviceLost`](crate::Error::DeviceLost), after which all do, with
+/// [`Error::OutOfMemory`](crate::Error::OutOfMemory) and [`Error::Gpu`](crate::Error::Gpu), where the driver does, and with
+/// [`Error::Limit`](crate::Error::Limit), where an image is too large for the device.
 pub trait Tracer {
     /// What runs the kernel.
     fn device(&self) -> &DeviceInfo;
@@ -39,7 +42,7 @@ pub trait Tracer {
     ///
     /// # Errors
     /// [`Error::Limit`](crate::Error::Limit) if an array is too large for the device, before anything is copied;
-    /// [`Error::Gpu`](crate::Error::Gpu) if the driver fails.
+    /// as above if the driver fails.
     fn upload(&mut self, arrays: &mut DeviceArrays) -> Result<u64>;
 
     /// Traces a frame, which stays where it was made until [`read`](Self::read).
@@ -51,6 +54,12 @@ pub trait Tracer {
     /// The last frame's linear colour as a texture, where it is one: `Rgba32Float`, to be bound (unfiltered) or copied from.
     #[cfg(feature = "gpu")]
     fn texture(&self) -> Option<&wgpu::Texture> {
+        None
+    }
+
+    /// The executor as a GPU, if it is one.
+    #[cfg(feature = "gpu")]
+    fn as_gpu(&mut self) -> Option<&mut gpu::GpuTracer> {
         None
     }
 

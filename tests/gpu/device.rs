@@ -146,7 +146,7 @@ fn lose(mut tracer: GpuTracer) {
         tracer.upload(&mut arrays).err(),
     ];
     for (call, outcome) in outcomes.iter().enumerate() {
-        assert!(matches!(outcome, Some(Error::Gpu { .. })), "call {call}: {outcome:?}");
+        assert!(matches!(outcome, Some(Error::DeviceLost { .. })), "call {call}: {outcome:?}");
     }
     assert_eq!(tracer.trace_time(), None);
 }

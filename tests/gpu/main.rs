@@ -5,7 +5,10 @@
 
 mod agreement;
 mod device;
+mod failures;
 mod frame;
+mod occlusion;
+mod resident;
 mod scene;
 mod soup;
 #[path = "../support/gpu.rs"]

@@ -3,19 +3,33 @@
 
 use glam::{DVec3, Vec3, Vec4};
 use ropewalk::image::Image;
-use ropewalk::trace::Cpu;
+use ropewalk::trace::gpu::GpuTracer;
+use ropewalk::trace::{Cpu, Layout};
 use ropewalk::{Camera, Core, Geometry, GeometryKey, Material, MaterialKey, NodeKey, Renderer, Scene, Transform, View};
 
+use crate::device::limited;
 use crate::soup::Random;
 use crate::support::tracer;
 
 #[test]
 fn after_every_edit_the_gpu_shows_the_scene() {
-    let Some(gpu) = tracer() else { return };
+    after_every_edit(tracer(), 80);
+}
+
+#[test]
+fn after_every_edit_it_does_where_nodes_and_triangles_are_split_too() {
+    for layout in [Layout::Rope, Layout::Wide] {
+        let gpu = limited(|limits| limits.max_storage_buffer_binding_size = 8192);
+        after_every_edit(gpu.map(|gpu| gpu.with_layout(layout)), 30);
+    }
+}
+
+fn after_every_edit(gpu: Option<GpuTracer>, steps: u32) {
+    let Some(gpu) = gpu else { return };
     let mut incremental = Renderer::with_tracer(gpu);
     let mut random = Random::new(1);
     let mut edited = Edited::new();
-    for step in 0..80 {
+    for step in 0..steps {
         let edit = edited.edit(&mut random);
         let found = draw(&mut incremental, &mut edited.scene);
         let expected = draw(&mut Renderer::with_tracer(Cpu::default()), &mut edited.scene);

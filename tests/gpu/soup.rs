@@ -41,7 +41,8 @@ const NO_STREAMS: Streams = Streams {
     first_tex_coord_0: NONE,
     first_tex_coord_1: NONE,
     first_color: NONE,
-    _pad: [0; 3],
+    first_wide_node: NONE,
+    _pad: [0; 2],
 };
 
 /// What all instances are made of.

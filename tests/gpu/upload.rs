@@ -159,7 +159,12 @@ fn an_empty_scene_is_a_scene() {
 
 #[test]
 fn an_array_too_large_for_a_buffer_is_named_before_anything_is_written() {
-    let Some(mut tracer) = limited(|limits| limits.max_storage_buffer_binding_size = 40_000) else { return };
+    let Some(mut tracer) = limited(|limits| {
+        limits.max_storage_buffer_binding_size = 40_000;
+        limits.max_storage_buffers_per_shader_stage = needed_buffers();
+    }) else {
+        return;
+    };
     let mut random = Random::new(8);
     let mut arrays = soup(10, &mut random);
     let all = tracer.upload(&mut arrays).unwrap();
@@ -174,6 +179,57 @@ fn an_array_too_large_for_a_buffer_is_named_before_anything_is_written() {
     let copied = tracer.upload(&mut arrays).unwrap();
     assert!(copied >= size_of::<Instance>() as u64 && copied < all, "{copied}");
     agree(&mut tracer, &arrays, &rays(300, &mut random));
+}
+
+#[test]
+fn large_arrays_lie_in_several_bindings_and_rays_hit_the_same() {
+    // 25 instances of four triangles fit; then parts of 64 nodes and 64 triangles.
+    let Some(mut tracer) = limited(|limits| limits.max_storage_buffer_binding_size = 4800) else { return };
+    let mut random = Random::new(11);
+    let mut arrays = soup(25, &mut random);
+    tracer.upload(&mut arrays).unwrap();
+    let rays = rays(2000, &mut random);
+    agree(&mut tracer, &arrays, &rays);
+    let pipelines = tracer.pipelines_made();
+
+    // Growing over the edge, across it by each upload, and back again.
+    for count in [26, 36, 16, 17, 32, 33, 37, 20, 37] {
+        grow(&mut arrays, count, &mut random);
+        tracer.upload(&mut arrays).unwrap();
+        agree(&mut tracer, &arrays, &rays);
+        // Changes that lie across the edge between two parts.
+        for i in [15, 16, count - 1] {
+            set_instance(&mut arrays, i, &mut random);
+        }
+        link(&mut arrays);
+        tracer.upload(&mut arrays).unwrap();
+        agree(&mut tracer, &arrays, &rays);
+        assert_eq!(tracer.upload(&mut arrays).unwrap(), 0);
+    }
+    assert!(tracer.pipelines_made() > pipelines, "whole arrays are read by a kernel of their own");
+    tracer.render(&arrays, &crate::frame::request(64, 48, true)).unwrap();
+    let mut emulated = Emulated::default();
+    emulated.render(&arrays, &crate::frame::request(64, 48, true)).unwrap();
+    let (found, expected) = (tracer.read().unwrap().aovs.unwrap(), emulated.read().unwrap().aovs.unwrap());
+    assert_eq!((found.node, found.triangle), (expected.node, expected.triangle));
+}
+
+#[test]
+fn what_the_bindings_cannot_hold_is_refused_with_what_they_can() {
+    let Some(mut tracer) = limited(|limits| {
+        limits.max_storage_buffer_binding_size = 4800;
+        limits.max_storage_buffers_per_shader_stage = needed_buffers() + 2;
+    }) else {
+        return;
+    };
+    let mut random = Random::new(12);
+    let mut arrays = soup(37, &mut random);
+    tracer.upload(&mut arrays).unwrap();
+    agree(&mut tracer, &arrays, &rays(1000, &mut random));
+    arrays.triangles.write(192, &[arrays.triangles[0]]);
+    let error = tracer.upload(&mut arrays).unwrap_err();
+    let Error::Limit { what, needed, limit, .. } = error else { panic!("{error}") };
+    assert_eq!((what, needed, limit), ("triangles (bytes)", 193 * 48, 3 * 64 * 48));
 }
 
 #[test]
@@ -199,6 +255,23 @@ fn arrays_of_many_megabytes_arrive_whole() {
     arrays.instances.replace(&instances);
     assert!(tracer.upload(&mut arrays).unwrap() > 64 << 20);
     agree(&mut tracer, &arrays, &rays(1000, &mut random));
+}
+
+/// The storage buffers that the kernel needs where no array is split.
+fn needed_buffers() -> u32 {
+    15
+}
+
+/// Leaves `count` instances.
+fn grow(arrays: &mut DeviceArrays, count: usize, random: &mut Random) {
+    let old = arrays.instances.len();
+    for i in old..count {
+        set_instance(arrays, i, random);
+    }
+    arrays.instances.truncate(count);
+    arrays.blas_nodes.truncate(count);
+    arrays.triangles.truncate(count * TRIANGLES_A_LEAF);
+    link(arrays);
 }
 
 /// Compares the hits of `rays` by triangle with those of an executor that reads `arrays` in place.

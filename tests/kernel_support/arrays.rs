@@ -3,7 +3,9 @@
 use glam::{DAffine3, DMat3, Vec3};
 use ropewalk::accel::{Blas, BuildParams};
 use ropewalk::device::DeviceArrays;
-use ropewalk::device::layout::{Instance, InstanceFlags, Material, NONE, Node, PrimitiveRange, Streams, Triangle};
+use ropewalk::device::layout::{
+    Instance, InstanceFlags, Material, NONE, Node, PrimitiveRange, Streams, Triangle, WideNode,
+};
 use ropewalk::graph::Geometry;
 use ropewalk::math::Aabb;
 
@@ -46,15 +48,18 @@ pub fn arrays(meshes: &[Mesh], placed: &[Placed]) -> DeviceArrays {
 /// The arrays of `placed` in their order.
 pub fn arrays_by(builder: Builder, meshes: &[Mesh], placed: &[Placed]) -> DeviceArrays {
     let mut arrays = DeviceArrays::default();
-    let (mut nodes, mut triangles, mut starts) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut nodes, mut wide_nodes, mut triangles) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut starts, mut streams) = (Vec::new(), Vec::new());
     for mesh in meshes {
         starts.push((nodes.len() as u32, triangles.len() as u32));
-        let (blas_nodes, blas_triangles) = match builder {
+        streams.push(Streams { first_wide_node: wide_nodes.len() as u32, ..NO_STREAMS });
+        let blas = match builder {
             Builder::Median => median_blas(mesh),
             Builder::Product => product_blas(mesh),
         };
-        nodes.extend(blas_nodes);
-        triangles.extend(blas_triangles);
+        nodes.extend(blas.nodes);
+        wide_nodes.extend(blas.wide_nodes);
+        triangles.extend(blas.triangles);
     }
     let instances: Vec<Instance> = placed.iter().map(|p| instance(p, starts[p.mesh])).collect();
     let boxes: Vec<Aabb> = placed.iter().map(|p| world_box(&meshes[p.mesh], &p.world_from_local)).collect();
@@ -65,17 +70,29 @@ pub fn arrays_by(builder: Builder, meshes: &[Mesh], placed: &[Placed]) -> Device
     arrays.tlas_nodes.replace(&tlas);
     arrays.instances.replace(&instances);
     arrays.blas_nodes.replace(&nodes);
+    arrays.wide_nodes.replace(&wide_nodes);
     arrays.triangles.replace(&triangles);
-    arrays.geometries.replace(&[Streams {
-        first_index: NONE,
-        first_normal: NONE,
-        first_tex_coord_0: NONE,
-        first_tex_coord_1: NONE,
-        first_color: NONE,
-        _pad: [0; 3],
-    }]);
+    arrays.geometries.replace(&streams);
     arrays.materials.replace(&[gray()]);
     arrays
+}
+
+/// A geometry that has nothing but its triangles.
+const NO_STREAMS: Streams = Streams {
+    first_index: NONE,
+    first_normal: NONE,
+    first_tex_coord_0: NONE,
+    first_tex_coord_1: NONE,
+    first_color: NONE,
+    first_wide_node: NONE,
+    _pad: [0; 2],
+};
+
+/// A bottom level; without wide nodes, where it is only walked along escape indices.
+struct Parts {
+    nodes: Vec<Node>,
+    wide_nodes: Vec<WideNode>,
+    triangles: Vec<Triangle>,
 }
 
 /// Matt, opaque, without textures.
@@ -99,16 +116,17 @@ fn gray() -> Material {
     }
 }
 
-fn median_blas(mesh: &Mesh) -> (Vec<Node>, Vec<Triangle>) {
+fn median_blas(mesh: &Mesh) -> Parts {
     let boxes: Vec<Aabb> = (0..mesh.indices.len()).map(|i| Aabb::from_points(mesh.triangle(i))).collect();
     let (order, nodes) = hierarchy(&boxes, 2);
-    (nodes, order.iter().map(|&i| triangle(i, mesh.triangle(i as usize))).collect())
+    let triangles = order.iter().map(|&i| triangle(i, mesh.triangle(i as usize))).collect();
+    Parts { nodes, wide_nodes: Vec::new(), triangles }
 }
 
-fn product_blas(mesh: &Mesh) -> (Vec<Node>, Vec<Triangle>) {
+fn product_blas(mesh: &Mesh) -> Parts {
     let geometry = Geometry::new(mesh.positions.clone(), mesh.indices.clone());
     let blas = Blas::build(&geometry, &BuildParams::default()).unwrap();
-    (blas.nodes, blas.triangles)
+    Parts { nodes: blas.nodes, wide_nodes: blas.wide_nodes, triangles: blas.triangles }
 }
 
 fn triangle(primitive: u32, [v0, v1, v2]: [Vec3; 3]) -> Triangle {
@@ -121,7 +139,7 @@ fn instance(placed: &Placed, (first_node, first_triangle): (u32, u32)) -> Instan
         world_from_local: rows(&placed.world_from_local),
         first_node,
         first_triangle,
-        geometry: 0,
+        geometry: placed.mesh as u32,
         material: 0,
         mask: placed.mask,
         flags: placed.flags.bits(),

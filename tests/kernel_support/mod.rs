@@ -15,20 +15,24 @@ pub use arrays::{Builder, Placed, arrays, arrays_by};
 pub use mesh::Mesh;
 pub use random::Random;
 
-use ropewalk::trace::{Cpu, Emulated, Tracer};
+use ropewalk::trace::{Cpu, Emulated, Layout, Tracer};
 
-/// Every executor; the GPU where there is one.
+/// Every executor by every layout; the GPU where there is one.
 pub fn tracers() -> Vec<Box<dyn Tracer>> {
-    let on_cpu: [Box<dyn Tracer>; 2] = [Box::new(Emulated::default()), Box::new(Cpu::default())];
-    on_cpu.into_iter().chain(on_gpu()).collect()
+    let mut tracers: Vec<Box<dyn Tracer>> = vec![Box::new(Cpu::default())];
+    for layout in [Layout::Rope, Layout::Wide] {
+        tracers.push(Box::new(Emulated::default().with_layout(layout)));
+        tracers.extend(on_gpu(layout));
+    }
+    tracers
 }
 
 #[cfg(feature = "gpu")]
-fn on_gpu() -> Option<Box<dyn Tracer>> {
-    Some(Box::new(gpu::tracer()?))
+fn on_gpu(layout: Layout) -> Option<Box<dyn Tracer>> {
+    Some(Box::new(gpu::tracer()?.with_layout(layout)))
 }
 
 #[cfg(not(feature = "gpu"))]
-fn on_gpu() -> Option<Box<dyn Tracer>> {
+fn on_gpu(_: Layout) -> Option<Box<dyn Tracer>> {
     None
 }

@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 #![allow(unreachable_pub, reason = "support modules serve several tests")]
 
+mod batch;
 mod cost;
 mod errors;
 mod inside;

@@ -2,7 +2,7 @@
 
 use glam::{BVec3, DVec3, Vec3, Vec4};
 use ropewalk::device::DeviceArrays;
-use ropewalk::device::layout::{Instance, Light, Material, NONE, Node, Streams, TextureInfo, Triangle};
+use ropewalk::device::layout::{Instance, Light, Material, NONE, Node, Streams, TextureInfo, Triangle, WideNode};
 
 /// Everything that a kernel can reach in some arrays, with places replaced by contents. Compares bit by bit.
 #[derive(Debug, PartialEq)]
@@ -139,6 +139,12 @@ fn fault(arrays: &DeviceArrays) -> Option<String> {
             if let Some(index) = broken_node(nodes, triangles) {
                 return Some(format!("node {index} of {}: {:?}", nodes.len(), nodes[index]));
             }
+            let first_wide = arrays.geometries[instance.geometry as usize].first_wide_node;
+            if first_wide != NONE
+                && let Some(wide) = broken_wide_node(&arrays.wide_nodes[first_wide as usize..], triangles)
+            {
+                return Some(format!("a wide node: {wide:?}"));
+            }
             let world = |p: Vec3| {
                 let rows = instance.world_from_local.map(|row| Vec4::from(row).as_dvec4());
                 DVec3::from(rows.map(|row| row.dot(p.extend(1.0).as_dvec4())))
@@ -160,6 +166,37 @@ fn fault(arrays: &DeviceArrays) -> Option<String> {
                 .then(|| format!("the box of an instance, {leaf:?}, around {least:?} in {most:?}"))
         },
     )
+}
+
+/// A wide node with a child that sticks out of its planes, if there is one, or if some triangle is below none.
+fn broken_wide_node(nodes: &[WideNode], triangles: &[Triangle]) -> Option<WideNode> {
+    // Each with the boxes around it.
+    let mut open = vec![(0, Vec::new())];
+    let mut found = 0;
+    while let Some((index, above)) = open.pop() {
+        let node = nodes[index];
+        for slot in (0..8).filter(|slot| node.exponents[3] >> slot & 1 != 0) {
+            let plane = |axis: usize, side: usize| {
+                let step = f64::from(f32::from_bits(u32::from(node.exponents[axis]) << 23));
+                f64::from(node.origin[axis]) + f64::from(node.planes[axis][side][slot]) * step
+            };
+            let [min, max] = [0, 1].map(|side| DVec3::from([0, 1, 2].map(|axis| plane(axis, side))));
+            let around: Vec<_> = above.iter().copied().chain([(min, max)]).collect();
+            let (first, count) = (node.children[slot].first() as usize, node.children[slot].count() as usize);
+            if count == 0 {
+                open.push((first, around));
+                continue;
+            }
+            found += count;
+            let corners = triangles[first..first + count].iter().flat_map(|t| [t.v0, t.v1, t.v2]);
+            for corner in corners.map(|corner| Vec3::from(corner).as_dvec3()) {
+                if around.iter().any(|(min, max)| !(corner.cmpgt(*min) & corner.cmplt(*max)).all()) {
+                    return Some(node);
+                }
+            }
+        }
+    }
+    (found != triangles.len()).then_some(nodes[0])
 }
 
 /// The first node whose subtree ends outside its parent's, or whose box a triangle below it sticks out of.

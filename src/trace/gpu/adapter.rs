@@ -3,6 +3,7 @@
 use wgpu::{AdapterInfo, Backend, DeviceType, DownlevelFlags, TextureFormat, TextureUsages};
 
 use super::context::Context;
+use super::scene::STORAGE_BUFFERS;
 use super::{batch, frame, probe};
 use crate::{Error, Result};
 
@@ -91,7 +92,7 @@ pub(super) fn describe(info: &AdapterInfo) -> String {
 pub(super) fn check_limits(limits: &wgpu::Limits) -> Result<()> {
     let workgroups = batch::MOST_WORKGROUPS.max(frame::most_workgroups(limits));
     for (what, needed, limit) in [
-        ("the kernel (storage buffers a shader stage)", 15, limits.max_storage_buffers_per_shader_stage),
+        ("the kernel (storage buffers a shader stage)", STORAGE_BUFFERS, limits.max_storage_buffers_per_shader_stage),
         ("the kernel (storage textures a shader stage)", 3, limits.max_storage_textures_per_shader_stage),
         ("the kernel (uniform buffers a shader stage)", 1, limits.max_uniform_buffers_per_shader_stage),
         ("the kernel (bind groups)", 2, limits.max_bind_groups),

@@ -1,12 +1,13 @@
-//! Batches of rays: written to a buffer, traced, and the answers read back.
+//! Batches of rays: written to a buffer, traced, and the answers read back; or from one buffer of the application's to another.
 
 use bytemuck::Pod;
 use wgpu::BufferUsages;
+use wgpu::util::DeviceExt as _;
 
 use super::context::Context;
-use super::scene::storage_entry;
-use crate::Result;
+use super::scene::{largest_buffer, storage_entry};
 use crate::device::layout::{Hit, Ray, RayBatch};
+use crate::{Error, Result};
 
 /// What fails if this does.
 pub(super) const DURING: &str = "tracing rays";
@@ -30,7 +31,7 @@ pub(super) fn layout(context: &Context) -> wgpu::BindGroupLayout {
                 visibility: wgpu::ShaderStages::COMPUTE,
                 ty: wgpu::BindingType::Buffer {
                     ty: wgpu::BufferBindingType::Uniform,
-                    has_dynamic_offset: false,
+                    has_dynamic_offset: true,
                     min_binding_size: wgpu::BufferSize::new(size_of::<RayBatch>() as u64),
                 },
                 count: None,
@@ -39,6 +40,11 @@ pub(super) fn layout(context: &Context) -> wgpu::BindGroupLayout {
             storage_entry(2, false),
         ],
     })
+}
+
+/// The most rays of one dispatch: rays and hits are of one size.
+fn most_rays(context: &Context) -> usize {
+    (largest_buffer(&context.limits) as usize / size_of::<Ray>()).clamp(1, RAYS_PER_DISPATCH)
 }
 
 /// The buffers of a batch, as large as the largest yet.
@@ -54,30 +60,22 @@ pub(super) struct Batch {
 }
 
 impl Batch {
-    /// Room for `rays` rays, or for as many as one dispatch traces.
+    /// Room for `rays` rays, or for as many as one dispatch traces and a buffer holds.
     pub(super) fn new(context: &Context, layout: &wgpu::BindGroupLayout, rays: usize) -> Self {
-        let capacity = rays.next_power_of_two().min(RAYS_PER_DISPATCH);
+        let capacity = rays.next_power_of_two().min(most_rays(context));
         let buffer = |label, stride, usage| context.buffer(label, (capacity * stride) as u64, usage);
         let params =
             context.buffer("batch", size_of::<RayBatch>() as u64, BufferUsages::UNIFORM | BufferUsages::COPY_DST);
         let rays = buffer("rays", size_of::<Ray>(), BufferUsages::STORAGE | BufferUsages::COPY_DST);
         let answers = buffer("answers", size_of::<Hit>(), BufferUsages::STORAGE | BufferUsages::COPY_SRC);
         let staging = context.staging((capacity * size_of::<Hit>()) as u64);
-        let bind_group = context.device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some("batch"),
-            layout,
-            entries: &[
-                wgpu::BindGroupEntry { binding: 0, resource: params.as_entire_binding() },
-                wgpu::BindGroupEntry { binding: 1, resource: rays.as_entire_binding() },
-                wgpu::BindGroupEntry { binding: 2, resource: answers.as_entire_binding() },
-            ],
-        });
+        let bind_group = bind(context, layout, &params, [rays.as_entire_binding(), answers.as_entire_binding()]);
         Self { capacity, params, rays, answers, staging, bind_group }
     }
 
     /// Whether a batch of that many rays goes through without waiting more often than it must.
-    pub(super) fn serves(&self, rays: usize) -> bool {
-        rays.min(RAYS_PER_DISPATCH) <= self.capacity
+    pub(super) fn serves(&self, context: &Context, rays: usize) -> bool {
+        rays.min(most_rays(context)) <= self.capacity
     }
 
     /// Bytes of GPU memory that the buffers take.
@@ -97,17 +95,12 @@ impl Batch {
         let mut answers = Vec::with_capacity(rays.len());
         for rays in rays.chunks(self.capacity) {
             let count = rays.len() as u32;
-            let params = RayBatch { count, ray_mask, _pad: [0; 2] };
+            let params = RayBatch { count, ray_mask, first: 0, _pad: 0 };
             context.queue.write_buffer(&self.params, 0, bytemuck::bytes_of(&params));
             context.queue.write_buffer(&self.rays, 0, bytemuck::cast_slice(rays));
             let bytes = size_of::<T>() as u64 * u64::from(count);
             context.submit(DURING, |encoder| {
-                let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-                pass.set_pipeline(pipeline);
-                pass.set_bind_group(0, scene, &[]);
-                pass.set_bind_group(1, &self.bind_group, &[]);
-                pass.dispatch_workgroups(count.div_ceil(WORKGROUP_RAYS), 1, 1);
-                drop(pass);
+                dispatch(encoder, pipeline, scene, &self.bind_group, [(0, count)]);
                 encoder.copy_buffer_to_buffer(&self.answers, 0, &self.staging, 0, bytes);
             })?;
             context.read(DURING, &self.staging, bytes, |bytes| {
@@ -115,5 +108,116 @@ impl Batch {
             })?;
         }
         Ok(answers)
+    }
+}
+
+/// Rays and their answers in buffers of the application's, on the device that traces.
+#[derive(Clone, Copy, Debug)]
+pub struct RayBuffers<'a> {
+    /// [`Ray`]s, relative to the [render origin](crate::Renderer::origin), one after the other. A storage buffer.
+    pub rays: &'a wgpu::Buffer,
+    /// Where the answers are written, one after the other: a [`Hit`] for each ray, or a `u32`. A storage buffer.
+    pub answers: &'a wgpu::Buffer,
+    /// How many rays there are.
+    pub count: u32,
+    /// Instances whose mask shares no bit with this are not hit.
+    pub ray_mask: u32,
+}
+
+impl RayBuffers<'_> {
+    /// Fails unless both buffers hold what they are said to, and a binding holds that.
+    pub(super) fn check(&self, limits: &wgpu::Limits, answer_size: usize) -> Result<()> {
+        let limit = largest_buffer(limits);
+        for (what, buffer, stride) in [
+            ("the buffer of rays (bytes)", self.rays, size_of::<Ray>()),
+            ("the buffer of answers (bytes)", self.answers, answer_size),
+        ] {
+            let needed = u64::from(self.count) * stride as u64;
+            if needed > limit {
+                return Err(Error::Limit { what, needed, limit, hint: "; trace fewer rays at a time" });
+            }
+            if needed > buffer.size() {
+                let hint = "; it is smaller than its count of rays says";
+                return Err(Error::Limit { what, needed, limit: buffer.size(), hint });
+            }
+            if !buffer.usage().contains(BufferUsages::STORAGE) {
+                let value = format!("{:?}", buffer.usage());
+                return Err(Error::OutOfRange {
+                    what: "the usage of a buffer of rays or answers",
+                    value,
+                    expected: "STORAGE",
+                });
+            }
+        }
+        Ok(())
+    }
+
+    /// Records that the rays are traced.
+    pub(super) fn record(
+        &self,
+        context: &Context,
+        layout: &wgpu::BindGroupLayout,
+        encoder: &mut wgpu::CommandEncoder,
+        pipeline: &wgpu::ComputePipeline,
+        scene: &wgpu::BindGroup,
+        answer_size: usize,
+    ) {
+        let stride =
+            size_of::<RayBatch>().next_multiple_of(context.limits.min_uniform_buffer_offset_alignment as usize);
+        let (mut contents, mut dispatches) = (Vec::new(), Vec::new());
+        for first in (0..self.count).step_by(RAYS_PER_DISPATCH) {
+            let count = (self.count - first).min(RAYS_PER_DISPATCH as u32);
+            dispatches.push((contents.len() as u32, count));
+            contents.extend_from_slice(bytemuck::bytes_of(&RayBatch {
+                count,
+                ray_mask: self.ray_mask,
+                first,
+                _pad: 0,
+            }));
+            contents.resize(contents.len().next_multiple_of(stride), 0);
+        }
+        let params = context.device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+            label: Some("batch"),
+            contents: &contents,
+            usage: BufferUsages::UNIFORM,
+        });
+        let whole = |buffer, stride: usize| {
+            let size = wgpu::BufferSize::new(u64::from(self.count) * stride as u64);
+            wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer, offset: 0, size })
+        };
+        let bound = [whole(self.rays, size_of::<Ray>()), whole(self.answers, answer_size)];
+        let bind_group = bind(context, layout, &params, bound);
+        dispatch(encoder, pipeline, scene, &bind_group, dispatches);
+    }
+}
+
+/// Binds one dispatch's parameters, which one being told by a dynamic offset, the rays and the answers.
+fn bind(
+    context: &Context,
+    layout: &wgpu::BindGroupLayout,
+    params: &wgpu::Buffer,
+    [rays, answers]: [wgpu::BindingResource<'_>; 2],
+) -> wgpu::BindGroup {
+    let size = wgpu::BufferSize::new(size_of::<RayBatch>() as u64);
+    let one = wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer: params, offset: 0, size });
+    let entries: Vec<_> =
+        (0..).zip([one, rays, answers]).map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource }).collect();
+    context.device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some("batch"), layout, entries: &entries })
+}
+
+/// Records dispatches: of each, where its parameters are and how many rays it traces.
+fn dispatch(
+    encoder: &mut wgpu::CommandEncoder,
+    pipeline: &wgpu::ComputePipeline,
+    scene: &wgpu::BindGroup,
+    batch: &wgpu::BindGroup,
+    dispatches: impl IntoIterator<Item = (u32, u32)>,
+) {
+    let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+    pass.set_pipeline(pipeline);
+    pass.set_bind_group(0, scene, &[]);
+    for (offset, count) in dispatches {
+        pass.set_bind_group(1, batch, &[offset]);
+        pass.dispatch_workgroups(count.div_ceil(WORKGROUP_RAYS), 1, 1);
     }
 }

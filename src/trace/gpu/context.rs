@@ -21,7 +21,7 @@ pub(super) struct Context {
     /// How the device was lost, if it was: nothing works from then on.
     loss: Arc<OnceLock<String>>,
     /// The first thing that the driver said outside any call of ours and that no call has reported yet.
-    complaint: Arc<Mutex<Option<String>>>,
+    complaint: Arc<Mutex<Option<wgpu::Error>>>,
 }
 
 impl Context {
@@ -36,11 +36,11 @@ impl Context {
     pub(super) fn watch(&self) {
         let complaint = Arc::clone(&self.complaint);
         self.device.on_uncaptured_error(Arc::new(move |error| {
-            complaint.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert_with(|| message(&error));
+            complaint.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
         }));
         let loss = Arc::clone(&self.loss);
         self.device.set_device_lost_callback(move |reason, words| {
-            let _ = loss.set(format!("the device was lost ({reason:?}): {words}"));
+            let _ = loss.set(one_line(&format!("{reason:?} {words}")));
         });
     }
 
@@ -50,11 +50,19 @@ impl Context {
         let [validation, memory, internal] = [ErrorFilter::Validation, ErrorFilter::OutOfMemory, ErrorFilter::Internal]
             .map(|filter| self.device.push_error_scope(filter));
         let outcome = work();
-        let errors = [internal, memory, validation].map(|scope| pollster::block_on(scope.pop()));
-        let complaint = self.complaint.lock().unwrap_or_else(PoisonError::into_inner).take();
-        let loss = self.loss.get().cloned();
-        match loss.or(errors.into_iter().flatten().map(|error| message(&error)).next()).or(complaint) {
-            Some(message) => Err(Error::Gpu { during, message }),
+        let [internal, memory, validation] =
+            [internal, memory, validation].map(|scope| pollster::block_on(scope.pop()));
+        let unheard = self.complaint.lock().unwrap_or_else(PoisonError::into_inner).take();
+        if let Some(message) = self.loss.get() {
+            return Err(Error::DeviceLost { during, message: message.clone() });
+        }
+        if matches!(outcome, Err(Error::DeviceLost { .. })) {
+            // A device refuses work that refers to what it could not make, too: then it still takes other work.
+            self.submit(during, |_| {})?;
+        }
+        // Want of memory first: what could not be made for it is then invalid.
+        match memory.or(internal).or(validation).or(unheard) {
+            Some(error) => Err(failure(during, &error)),
             None => outcome,
         }
     }
@@ -132,14 +140,26 @@ impl Context {
 }
 
 fn lost(during: &'static str) -> Error {
-    Error::Gpu { during, message: "the device was lost: make a new one".into() }
+    Error::DeviceLost { during, message: "it takes no more work".into() }
 }
 
-/// wgpu's words on one line.
-fn message(error: &wgpu::Error) -> String {
-    let words = match error {
-        wgpu::Error::OutOfMemory { source } => format!("out of GPU memory: {source}"),
-        wgpu::Error::Validation { description, .. } | wgpu::Error::Internal { description, .. } => description.clone(),
-    };
+fn failure(during: &'static str, error: &wgpu::Error) -> Error {
+    match error {
+        wgpu::Error::OutOfMemory { source } => {
+            Error::OutOfMemory { during, message: one_line(&chain(source.as_ref())) }
+        }
+        wgpu::Error::Validation { description, .. } | wgpu::Error::Internal { description, .. } => {
+            Error::Gpu { during, message: one_line(description) }
+        }
+    }
+}
+
+/// An error and what caused it.
+fn chain(error: &dyn std::error::Error) -> String {
+    let causes = std::iter::successors(error.source(), |error| error.source());
+    causes.fold(error.to_string(), |words, cause| format!("{words}: {cause}"))
+}
+
+fn one_line(words: &str) -> String {
     words.split_whitespace().collect::<Vec<_>>().join(" ")
 }

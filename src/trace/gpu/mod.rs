@@ -1,6 +1,7 @@
 //! The kernel on a GPU, through wgpu: Vulkan, Metal, Direct3D 12 or OpenGL.
 
 mod adapter;
+mod array;
 mod batch;
 mod context;
 mod frame;
@@ -11,4 +12,5 @@ mod timer;
 mod tracer;
 
 pub use adapter::{Adapters, GpuOptions, required_limits, wanted_features};
+pub use batch::RayBuffers;
 pub use tracer::GpuTracer;

@@ -1,37 +1,33 @@
-//! The kernel's pipelines: one for each entry point and set of needs, made when first asked for.
+//! The kernel's pipelines: one for each entry point and variant, made when first asked for.
 
 use std::collections::HashMap;
 
 use super::context::Context;
 use crate::Result;
-use crate::compile::Needs;
-use crate::trace::shader::EntryPoint;
+use crate::trace::shader::{EntryPoint, Variant};
 
 /// The pipelines made so far.
 #[derive(Debug)]
 pub(super) struct Pipelines {
-    made: HashMap<(EntryPoint, Needs), wgpu::ComputePipeline>,
-    frame: wgpu::PipelineLayout,
-    batch: wgpu::PipelineLayout,
+    made: HashMap<(EntryPoint, Variant), wgpu::ComputePipeline>,
+    frame: wgpu::BindGroupLayout,
+    batch: wgpu::BindGroupLayout,
 }
 
 impl Pipelines {
-    /// `scene` is group 0 of every entry point; `frame` and `batch` are group 1 of those that write images and of those
-    /// that answer rays.
-    pub(super) fn new(
-        context: &Context,
-        scene: &wgpu::BindGroupLayout,
-        frame: &wgpu::BindGroupLayout,
-        batch: &wgpu::BindGroupLayout,
-    ) -> Self {
-        let layout = |label, own| {
-            context.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-                label: Some(label),
-                bind_group_layouts: &[Some(scene), Some(own)],
-                immediate_size: 0,
-            })
-        };
-        Self { made: HashMap::new(), frame: layout("frame", frame), batch: layout("batch", batch) }
+    /// `frame` and `batch` are group 1 of the entry points that write images and of those that answer rays.
+    pub(super) fn new(frame: wgpu::BindGroupLayout, batch: wgpu::BindGroupLayout) -> Self {
+        Self { made: HashMap::new(), frame, batch }
+    }
+
+    /// Where the images of a frame are bound.
+    pub(super) fn frame_layout(&self) -> &wgpu::BindGroupLayout {
+        &self.frame
+    }
+
+    /// Where the rays of a batch are bound.
+    pub(super) fn batch_layout(&self) -> &wgpu::BindGroupLayout {
+        &self.batch
     }
 
     /// How many there are.
@@ -39,40 +35,48 @@ impl Pipelines {
         self.made.len()
     }
 
-    /// The pipeline, and whether it is new: drivers compile a shader when it is first dispatched.
+    /// The pipeline, and whether it is new: drivers compile a shader when it is first dispatched. `scene` is the layout of
+    /// group 0.
     pub(super) fn pipeline(
         &mut self,
         context: &Context,
+        scene: &wgpu::BindGroupLayout,
         entry_point: EntryPoint,
-        needs: Needs,
+        variant: Variant,
     ) -> Result<(wgpu::ComputePipeline, bool)> {
-        if let Some(pipeline) = self.made.get(&(entry_point, needs)) {
+        if let Some(pipeline) = self.made.get(&(entry_point, variant)) {
             return Ok((pipeline.clone(), false));
         }
-        let layout = match entry_point {
+        let own = match entry_point {
             EntryPoint::Render | EntryPoint::RenderAovs => &self.frame,
             EntryPoint::ClosestHits | EntryPoint::AnyHits => &self.batch,
         };
-        let pipeline = context.scoped("compiling the kernel", || Ok(compile(context, layout, entry_point, needs)))?;
-        self.made.insert((entry_point, needs), pipeline.clone());
+        let pipeline = context
+            .scoped("compiling the kernel", || Ok(compile(context, [Some(scene), Some(own)], entry_point, variant)))?;
+        self.made.insert((entry_point, variant), pipeline.clone());
         Ok((pipeline, true))
     }
 }
 
 fn compile(
     context: &Context,
-    layout: &wgpu::PipelineLayout,
+    groups: [Option<&wgpu::BindGroupLayout>; 2],
     entry_point: EntryPoint,
-    needs: Needs,
+    variant: Variant,
 ) -> wgpu::ComputePipeline {
     let name = entry_point.name();
     let module = context.device.create_shader_module(wgpu::ShaderModuleDescriptor {
         label: Some(name),
-        source: wgpu::ShaderSource::Wgsl(entry_point.source(needs).into()),
+        source: wgpu::ShaderSource::Wgsl(entry_point.source(variant).into()),
+    });
+    let layout = context.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+        label: Some(name),
+        bind_group_layouts: &groups,
+        immediate_size: 0,
     });
     context.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
         label: Some(name),
-        layout: Some(layout),
+        layout: Some(&layout),
         module: &module,
         entry_point: Some(name),
         compilation_options: wgpu::PipelineCompilationOptions::default(),

@@ -1,56 +1,107 @@
-//! The GPU's copy of the device arrays: one buffer each, of which only what changed is written.
+//! The GPU's copy of the device arrays: one buffer each, or several where a binding cannot hold one.
 
 use std::ops::Range;
 
 use bytemuck::Pod;
-use wgpu::BufferUsages;
 
+use super::array::{ArrayBuffer, Contents, Copied};
 use super::context::Context;
+use crate::compile::Needs;
 use crate::device::{DeviceArrays, DeviceBuffer};
+use crate::trace::Layout;
+use crate::trace::shader::{ARRAY_COUNT, Include, Split, Splits, Variant};
 use crate::{Error, Result};
 
-/// How many arrays there are.
-const ARRAY_COUNT: usize = 13;
-
 /// What fails if an upload does.
-const DURING: &str = "the upload of the scene";
+pub(super) const DURING: &str = "the upload of the scene";
 
-/// wgpu keeps a copy of all that it is given to write until the next submission, so there is one this often.
-const BYTES_PER_SUBMISSION: usize = 64 << 20;
+/// Storage buffers that a kernel reads and writes: the arrays, and the rays and answers of a batch.
+pub(super) const STORAGE_BUFFERS: u32 = ARRAY_COUNT + 2;
 
-/// Changes of fewer bytes are gathered into one write.
-const SMALL_RANGE: usize = 16 << 10;
+/// The array that depends on the layout.
+const NODES: usize = 2;
 
-/// Changes with fewer bytes between them are written as one, those bytes too.
-const SMALL_GAP: usize = 256;
-
-/// A buffer is made smaller when its array needs less than one part in this many.
-const SHRINK: u64 = 4;
+/// Uniform buffers that it reads.
+const OTHER_BUFFERS: u32 = 1;
 
 /// The buffers of the scene's arrays, in the order of their bindings, and the bind group of them all.
 #[derive(Debug)]
 pub(super) struct SceneBuffers {
+    wanted: Layout,
+    walked: Layout,
+    /// Of each array its parts: one, unless it is split.
+    arrays: [Vec<Option<ArrayBuffer>>; ARRAY_COUNT as usize],
+    splits: Splits,
     layout: wgpu::BindGroupLayout,
-    buffers: [Option<ArrayBuffer>; ARRAY_COUNT],
     bind_group: Option<wgpu::BindGroup>,
     bind_groups_made: u64,
 }
 
 impl SceneBuffers {
-    pub(super) fn new(context: &Context) -> Self {
-        let entries: Vec<_> = (0..ARRAY_COUNT as u32).map(|binding| storage_entry(binding, true)).collect();
-        let descriptor = wgpu::BindGroupLayoutDescriptor { label: Some("scene"), entries: &entries };
-        let layout = context.device.create_bind_group_layout(&descriptor);
-        Self { layout, buffers: Default::default(), bind_group: None, bind_groups_made: 0 }
+    pub(super) fn new(context: &Context, wanted: Layout) -> Self {
+        let splits = Splits::default();
+        Self {
+            wanted,
+            walked: wanted,
+            arrays: Default::default(),
+            splits,
+            layout: layout(context, all_bindings(splits)),
+            bind_group: None,
+            bind_groups_made: 0,
+        }
+    }
+
+    /// The kernel that reads the arrays as they are bound.
+    pub(super) fn variant(&self, needs: Needs) -> Variant {
+        Variant { needs, layout: self.walked, splits: self.splits }
     }
 
     pub(super) fn layout(&self) -> &wgpu::BindGroupLayout {
         &self.layout
     }
 
-    /// All arrays, for group 0; none before the first upload.
-    pub(super) fn bind_group(&self) -> Option<&wgpu::BindGroup> {
-        self.bind_group.as_ref()
+    /// All arrays, for group 0.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] before the first upload.
+    pub(super) fn bind_group(&self) -> Result<&wgpu::BindGroup> {
+        let missing = || Error::Gpu { during: "tracing", message: "no scene was uploaded".into() };
+        self.bind_group.as_ref().ok_or_else(missing)
+    }
+
+    /// Where the scene is bound for an application's shader.
+    pub(super) fn include_layout(context: &Context, include: &Include) -> wgpu::BindGroupLayout {
+        layout(context, include.bindings().into_iter())
+    }
+
+    /// The scene for an application's shader.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] before the first upload, and where the arrays are bound as they were not when the shader was made.
+    pub(super) fn bind_include(&self, context: &Context, include: &Include) -> Result<wgpu::BindGroup> {
+        self.bind_group()?;
+        if include.variant != self.variant(include.variant.needs) {
+            let message = "the scene's arrays lie in other bindings now: make the shader anew".into();
+            return Err(Error::Gpu { during: "binding the scene", message });
+        }
+        let layout = Self::include_layout(context, include);
+        context.scoped("binding the scene", || Ok(self.bind(context, &layout, include.bindings().into_iter())))
+    }
+
+    /// Binds the arrays that have these numbers: each array's first part, then the other parts.
+    fn bind(
+        &self,
+        context: &Context,
+        layout: &wgpu::BindGroupLayout,
+        bindings: impl Iterator<Item = u32>,
+    ) -> wgpu::BindGroup {
+        let first = self.arrays.iter().filter_map(|parts| parts.first());
+        let others = self.arrays.iter().flat_map(|parts| parts.iter().skip(1));
+        let buffers: Vec<_> = first.chain(others).flatten().map(ArrayBuffer::buffer).collect();
+        let entries: Vec<_> = bindings
+            .map(|binding| wgpu::BindGroupEntry { binding, resource: buffers[binding as usize].as_entire_binding() })
+            .collect();
+        context.device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some("scene"), layout, entries: &entries })
     }
 
     /// How often a buffer came or went, so that all had to be bound anew.
@@ -60,26 +111,35 @@ impl SceneBuffers {
 
     /// Bytes of GPU memory that the buffers take.
     pub(super) fn bytes(&self) -> u64 {
-        self.buffers.iter().flatten().map(|array| array.buffer.size()).sum()
+        self.arrays.iter().flatten().flatten().map(|part| part.buffer().size()).sum()
     }
 
     /// Copies what changed and returns how many bytes did. Fails before anything is written if an array is too large for
-    /// a buffer of this device; after any other failure the next call copies everything.
+    /// this device; after any other failure the next call copies everything.
     pub(super) fn upload(&mut self, context: &Context, arrays: &mut DeviceArrays) -> Result<u64> {
-        let mut sources = sources(arrays);
-        for source in &sources {
-            check_size(source.what, source.array.bytes().len() as u64, &context.limits)?;
-        }
+        let walked = self.wanted.of(arrays);
+        let mut sources = sources(arrays, walked);
+        let splits = plan(&sources, &context.limits)?;
         let outcome = context.scoped(DURING, || {
+            if walked != self.walked {
+                self.walked = walked;
+                self.arrays[NODES].clear();
+            }
+            if splits != self.splits {
+                self.layout = layout(context, all_bindings(splits));
+                self.splits = splits;
+                self.bind_group = None;
+            }
             let mut bytes = 0;
             let mut same = self.bind_group.is_some();
-            for (source, slot) in sources.iter_mut().zip(&mut self.buffers) {
-                let copied = upload_array(context, source, slot)?;
+            for (source, parts) in sources.iter_mut().zip(&mut self.arrays) {
+                let split = source.split.map_or(Split::WHOLE, |split| *split(&mut self.splits));
+                let copied = upload_array(context, source, split, parts)?;
                 bytes += copied.bytes;
                 same &= copied.same_buffer;
             }
             if !same {
-                self.bind_group = Some(bind(context, &self.layout, &self.buffers));
+                self.bind_group = Some(self.bind(context, &self.layout, all_bindings(splits)));
                 self.bind_groups_made += 1;
             }
             if bytes > 0 {
@@ -88,8 +148,7 @@ impl SceneBuffers {
             Ok(bytes)
         });
         if outcome.is_err() {
-            self.buffers = Default::default();
-            self.bind_group = None;
+            *self = Self { bind_groups_made: self.bind_groups_made, ..Self::new(context, self.wanted) };
         }
         outcome
     }
@@ -114,125 +173,84 @@ pub(super) fn largest_buffer(limits: &wgpu::Limits) -> u64 {
     limits.max_buffer_size.min(limits.max_storage_buffer_binding_size)
 }
 
-/// One array on the GPU. The buffer may have room for more.
-#[derive(Debug)]
-struct ArrayBuffer {
-    buffer: wgpu::Buffer,
-    /// Bytes in use; 0 where there is but a placeholder.
-    used: u64,
+/// Where arrays are bound, by number: each, then the parts of those that are split.
+fn layout(context: &Context, bindings: impl Iterator<Item = u32>) -> wgpu::BindGroupLayout {
+    let entries: Vec<_> = bindings.map(|binding| storage_entry(binding, true)).collect();
+    let descriptor = wgpu::BindGroupLayoutDescriptor { label: Some("scene"), entries: &entries };
+    context.device.create_bind_group_layout(&descriptor)
 }
 
-struct Copied {
-    bytes: u64,
-    same_buffer: bool,
+fn all_bindings(splits: Splits) -> std::ops::Range<u32> {
+    0..ARRAY_COUNT + splits.more_bindings()
 }
 
-/// Copies what changed of one array, into a larger or smaller buffer where needed.
-fn upload_array(context: &Context, source: &mut Source, slot: &mut Option<ArrayBuffer>) -> Result<Copied> {
+/// How the arrays must be split to fit the device.
+fn plan(sources: &[Source<'_>], limits: &wgpu::Limits) -> Result<Splits> {
+    let largest = largest_buffer(limits);
+    let most = limits.max_storage_buffers_per_shader_stage;
+    let most = most.min(limits.max_buffers_and_acceleration_structures_per_shader_stage.saturating_sub(OTHER_BUFFERS));
+    let mut spare = u64::from(most.saturating_sub(STORAGE_BUFFERS));
+    let mut splits = Splits::default();
+    for source in sources {
+        let (needed, stride) = (source.array.bytes().len() as u64, source.placeholder.len() as u64);
+        let fits = |limit| {
+            let hint = "; share geometry between nodes, use smaller textures, or use the cpu executor";
+            if needed > limit { Err(Error::Limit { what: source.what, needed, limit, hint }) } else { Ok(()) }
+        };
+        let Some(split) = source.split else {
+            fits(largest)?;
+            continue;
+        };
+        let found = Split::new(needed / stride, largest / stride);
+        if let Some(part_len) = found.part_len() {
+            fits(largest.max((1 + spare) * part_len * stride))?;
+        }
+        spare -= u64::from(found.parts() - 1);
+        *split(&mut splits) = found;
+    }
+    Ok(splits)
+}
+
+/// Copies what changed of one array; all of it, where it is split as it was not before.
+fn upload_array(
+    context: &Context,
+    source: &mut Source<'_>,
+    split: Split,
+    parts: &mut Vec<Option<ArrayBuffer>>,
+) -> Result<Copied> {
     let dirty = source.array.take_dirty();
     let bytes = source.array.bytes();
-    let used = bytes.len() as u64;
-    let make = |size| {
-        let usage = BufferUsages::STORAGE | BufferUsages::COPY_DST | BufferUsages::COPY_SRC;
-        context.buffer(source.what, size, usage)
-    };
-    let old = slot.take().filter(|old| (old.used == 0) == bytes.is_empty());
-    let Some(old) = old else {
-        let contents = if bytes.is_empty() { source.placeholder } else { bytes };
-        let buffer = make(contents.len() as u64);
-        write(context, &buffer, contents, 0..contents.len());
-        *slot = Some(ArrayBuffer { buffer, used });
-        return Ok(Copied { bytes: used, same_buffer: false });
-    };
-    let size = old.buffer.size();
-    let same_buffer = bytes.is_empty() || (used <= size && used >= size / SHRINK);
-    let buffer = if same_buffer {
-        old.buffer
-    } else {
-        let room = if used > size { used.max(size / 2 * 3) } else { used };
-        let buffer = make(room.next_multiple_of(16).min(largest_buffer(&context.limits) / 4 * 4));
-        let kept = used.min(old.used);
-        context.submit(DURING, |encoder| encoder.copy_buffer_to_buffer(&old.buffer, 0, &buffer, 0, kept))?;
-        buffer
-    };
-    let (small, large): (Vec<_>, Vec<_>) = join_near(&dirty).into_iter().partition(|range| range.len() < SMALL_RANGE);
-    for range in large {
-        write(context, &buffer, bytes, range);
+    if parts.len() != split.parts() as usize {
+        *parts = (0..split.parts()).map(|_| None).collect();
     }
-    scatter(context, &buffer, bytes, &small)?;
-    *slot = Some(ArrayBuffer { buffer, used });
-    Ok(Copied { bytes: dirty.iter().map(|range| range.len() as u64).sum(), same_buffer })
-}
-
-fn write(context: &Context, buffer: &wgpu::Buffer, bytes: &[u8], range: Range<usize>) {
-    for start in range.clone().step_by(BYTES_PER_SUBMISSION) {
-        let end = range.end.min(start + BYTES_PER_SUBMISSION);
-        context.queue.write_buffer(buffer, start as u64, &bytes[start..end]);
-        if end - start == BYTES_PER_SUBMISSION {
-            context.queue.submit([]);
-        }
+    let largest = largest_buffer(&context.limits);
+    let part_size = split.part_len().map_or(largest, |len| len * source.placeholder.len() as u64) as usize;
+    let mut all = Copied { bytes: 0, same_buffer: true };
+    for (part, slot) in parts.iter_mut().enumerate() {
+        let start = part * part_size;
+        let end = bytes.len().min(start.saturating_add(part_size));
+        let within = |range: &Range<usize>| range.start.max(start) - start..range.end.min(end).max(start) - start;
+        let dirty: Vec<_> = dirty.iter().map(within).filter(|range| !range.is_empty()).collect();
+        let contents = Contents {
+            what: source.what,
+            bytes: &bytes[start..end],
+            dirty: &dirty,
+            placeholder: source.placeholder,
+            limit: part_size as u64,
+        };
+        let copied = ArrayBuffer::upload(context, &contents, slot)?;
+        all = Copied { bytes: all.bytes + copied.bytes, same_buffer: all.same_buffer && copied.same_buffer };
     }
-}
-
-/// Joins those of the sorted `ranges` that have little between them.
-fn join_near(ranges: &[Range<usize>]) -> Vec<Range<usize>> {
-    let is_near = |a: &Range<usize>, b: &Range<usize>| b.start - a.end < SMALL_GAP;
-    ranges.chunk_by(is_near).map(|near| near[0].start..near[near.len() - 1].end).collect()
-}
-
-/// Writes many small ranges at the cost of one write and as many copies on the GPU: a write of its own for each takes ten
-/// times as long.
-fn scatter(context: &Context, buffer: &wgpu::Buffer, bytes: &[u8], ranges: &[Range<usize>]) -> Result<()> {
-    for ranges in ranges.chunks(BYTES_PER_SUBMISSION / SMALL_RANGE) {
-        if let [range] = ranges {
-            write(context, buffer, bytes, range.clone());
-            continue;
-        }
-        let mut gathered = Vec::with_capacity(ranges.iter().map(ExactSizeIterator::len).sum());
-        for range in ranges {
-            gathered.extend_from_slice(&bytes[range.clone()]);
-        }
-        let usage = BufferUsages::COPY_DST | BufferUsages::COPY_SRC;
-        let scratch = context.buffer("changes", gathered.len() as u64, usage);
-        write(context, &scratch, &gathered, 0..gathered.len());
-        context.submit(DURING, |encoder| {
-            let mut from = 0;
-            for range in ranges {
-                let size = range.len() as u64;
-                encoder.copy_buffer_to_buffer(&scratch, from, buffer, range.start as u64, size);
-                from += size;
-            }
-        })?;
-    }
-    Ok(())
-}
-
-fn bind(
-    context: &Context,
-    layout: &wgpu::BindGroupLayout,
-    buffers: &[Option<ArrayBuffer>; ARRAY_COUNT],
-) -> wgpu::BindGroup {
-    let entries: Vec<_> = (0..)
-        .zip(buffers.iter().flatten())
-        .map(|(binding, array)| wgpu::BindGroupEntry { binding, resource: array.buffer.as_entire_binding() })
-        .collect();
-    context.device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some("scene"), layout, entries: &entries })
-}
-
-fn check_size(what: &'static str, needed: u64, limits: &wgpu::Limits) -> Result<()> {
-    let limit = largest_buffer(limits);
-    if needed > limit {
-        let hint = "; share geometry between nodes, or use the cpu executor";
-        return Err(Error::Limit { what, needed, limit, hint });
-    }
-    Ok(())
+    Ok(all)
 }
 
 /// An array to copy from.
 struct Source<'a> {
     what: &'static str,
     array: &'a mut dyn Array,
-    /// What the buffer of an empty array holds, since no buffer can be empty.
+    /// How it is split, of an array that can be.
+    split: Option<fn(&mut Splits) -> &mut Split>,
+    /// A zero element: what the buffer of an empty array holds, since no buffer can be empty.
     placeholder: &'static [u8],
 }
 
@@ -256,12 +274,23 @@ impl<T: Pod + PartialEq> Array for DeviceBuffer<T> {
 }
 
 /// All arrays in the order of their bindings in `shaders/shared/types.wgsl`.
-fn sources(arrays: &mut DeviceArrays) -> [Source<'_>; ARRAY_COUNT] {
+fn sources(arrays: &mut DeviceArrays, layout: Layout) -> [Source<'_>; ARRAY_COUNT as usize] {
+    // What is not walked is not copied, and needs no list of what changed.
+    let nodes = match layout {
+        Layout::Rope => {
+            arrays.wide_nodes.take_dirty();
+            source("blas_nodes (bytes)", &mut arrays.blas_nodes)
+        }
+        Layout::Wide => {
+            arrays.blas_nodes.take_dirty();
+            source("wide_nodes (bytes)", &mut arrays.wide_nodes)
+        }
+    };
     [
         source("tlas_nodes (bytes)", &mut arrays.tlas_nodes),
         source("instances (bytes)", &mut arrays.instances),
-        source("blas_nodes (bytes)", &mut arrays.blas_nodes),
-        source("triangles (bytes)", &mut arrays.triangles),
+        Source { split: Some(|s| &mut s.nodes), ..nodes },
+        Source { split: Some(|s| &mut s.triangles), ..source("triangles (bytes)", &mut arrays.triangles) },
         source("geometries (bytes)", &mut arrays.geometries),
         source("indices (bytes)", &mut arrays.indices),
         source("normals (bytes)", &mut arrays.normals),
@@ -275,7 +304,7 @@ fn sources(arrays: &mut DeviceArrays) -> [Source<'_>; ARRAY_COUNT] {
 }
 
 fn source<'a, T: Pod + PartialEq>(what: &'static str, array: &'a mut DeviceBuffer<T>) -> Source<'a> {
-    Source { what, array, placeholder: &ZEROS[..size_of::<T>()] }
+    Source { what, array, split: None, placeholder: &ZEROS[..size_of::<T>()] }
 }
 
 /// As large as the largest element. In place of nodes they are what the kernel takes for no hierarchy.
@@ -284,29 +313,26 @@ static ZEROS: [u8; 128] = [0; 128];
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn near_ranges_are_joined_and_far_ones_are_not() {
-        let near = SMALL_GAP - 4;
-        let ranges = [0..4, 4 + near..600, 600 + SMALL_GAP..1000, 1000 + near..2000, 5000..5004];
-        assert_eq!(join_near(&ranges), [0..600, 600 + SMALL_GAP..2000, 5000..5004]);
-        assert_eq!(join_near(&[]), []);
-    }
+    use crate::trace::shader::EntryPoint;
 
     /// The arrays are bound by position: each must stand where the shader declares it.
     #[test]
     fn arrays_are_in_the_order_of_the_shader() {
-        let module = naga::front::wgsl::parse_str(include_str!("../../../shaders/shared/types.wgsl")).unwrap();
-        let mut arrays = DeviceArrays::default();
-        let sources = sources(&mut arrays);
-        let mut compared = 0;
-        for (_, variable) in module.global_variables.iter() {
-            let binding = variable.binding.as_ref().unwrap();
-            assert_eq!(binding.group, 0);
-            let declared = format!("{} (bytes)", variable.name.as_deref().unwrap());
-            assert_eq!(sources[binding.binding as usize].what, declared);
-            compared += 1;
+        for layout in [Layout::Rope, Layout::Wide] {
+            let source = EntryPoint::ClosestHits.source(Variant { layout, ..Variant::default() });
+            let module = naga::front::wgsl::parse_str(&source).unwrap();
+            let mut arrays = DeviceArrays::default();
+            let sources = sources(&mut arrays, layout);
+            let mut compared = 0;
+            for (_, variable) in module.global_variables.iter() {
+                let binding = variable.binding.as_ref().unwrap();
+                if binding.group == 0 {
+                    let declared = format!("{} (bytes)", variable.name.as_deref().unwrap());
+                    assert_eq!(sources[binding.binding as usize].what, declared);
+                    compared += 1;
+                }
+            }
+            assert_eq!(compared, ARRAY_COUNT);
         }
-        assert_eq!(compared, ARRAY_COUNT);
     }
 }

@@ -5,7 +5,7 @@ use std::time::Duration;
 use bytemuck::Pod;
 
 use super::adapter::{self, GpuOptions};
-use super::batch::{self, Batch};
+use super::batch::{self, Batch, RayBuffers};
 use super::context::Context;
 use super::frame::{self, Frame};
 use super::pipelines::Pipelines;
@@ -17,21 +17,19 @@ use crate::device::DeviceArrays;
 use crate::device::layout::{Hit, Ray};
 use crate::image::Image;
 use crate::trace::planes::Planes;
-use crate::trace::shader::EntryPoint;
-use crate::trace::{DeviceInfo, FrameRequest, Tracer};
+use crate::trace::shader::{EntryPoint, Include};
+use crate::trace::{DeviceInfo, FrameRequest, Layout, Tracer};
 use crate::{Error, Result};
 
 /// The kernel on a GPU.
 ///
-/// After [`Error::Gpu`] a tracer can be used on, unless its device is lost: then every call fails so, and a new tracer
-/// must be made. An image without pixels renders as such.
+/// After [`Error::OutOfMemory`] and [`Error::Gpu`] a tracer can be used on: what it could not make it tries to make anew.
+/// After [`Error::DeviceLost`] every call fails so, and a new tracer must be made. An image without pixels renders as such.
 #[derive(Debug)]
 pub struct GpuTracer {
     context: Context,
     scene: SceneBuffers,
     pipelines: Pipelines,
-    frame_layout: wgpu::BindGroupLayout,
-    batch_layout: wgpu::BindGroupLayout,
     timer: Option<Timer>,
     /// The last frame, where that has pixels and did not fail.
     frame: Option<Frame>,
@@ -59,7 +57,7 @@ impl GpuTracer {
     ///
     /// # Errors
     /// [`Error::Limit`] names the first limit of the device that is too low; [`Error::NoGpu`] says that its driver
-    /// cuts long loops short; [`Error::Gpu`] that it failed.
+    /// cuts long loops short; [`Error::DeviceLost`], [`Error::OutOfMemory`] and [`Error::Gpu`] that it failed.
     pub fn from_device(device: wgpu::Device, queue: wgpu::Queue) -> Result<Self> {
         let context = Context::new(device, queue);
         adapter::check_limits(&context.limits)?;
@@ -70,22 +68,25 @@ impl GpuTracer {
     fn with_context(context: Context) -> Result<Self> {
         context
             .scoped("preparing the kernel", || {
-                let scene = SceneBuffers::new(&context);
-                let [frame_layout, batch_layout] = [frame::layout(&context), batch::layout(&context)];
-                let pipelines = Pipelines::new(&context, scene.layout(), &frame_layout, &batch_layout);
-                Ok((scene, pipelines, frame_layout, batch_layout, Timer::new(&context)))
+                let pipelines = Pipelines::new(frame::layout(&context), batch::layout(&context));
+                Ok((SceneBuffers::new(&context, Layout::default()), pipelines, Timer::new(&context)))
             })
-            .map(|(scene, pipelines, frame_layout, batch_layout, timer)| Self {
+            .map(|(scene, pipelines, timer)| Self {
                 context,
                 scene,
                 pipelines,
-                frame_layout,
-                batch_layout,
                 timer,
                 frame: None,
                 empty: Some(Planes::default()),
                 batch: None,
             })
+    }
+
+    /// Walks the arrays in another way than by default: the hits are the same. Takes effect with the next upload, which copies all.
+    #[must_use]
+    pub fn with_layout(mut self, layout: Layout) -> Self {
+        self.scene = SceneBuffers::new(&self.context, layout);
+        self
     }
 
     /// The device that traces.
@@ -96,6 +97,46 @@ impl GpuTracer {
     /// Its queue.
     pub fn wgpu_queue(&self) -> &wgpu::Queue {
         &self.context.queue
+    }
+
+    /// Records into `encoder` that the closest [`Hit`] of each ray is found: rays and hits stay on the GPU. The scene is that of
+    /// the last upload; other passes of the encoder may write the rays and read the hits. A batch of very many rays may take
+    /// longer than a driver lets one submission run (seconds): spread those over several.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] if the buffers are too small for their count or larger than a binding of the device;
+    /// [`Error::OutOfRange`] if one is no storage buffer; [`Error::Gpu`] if no scene was uploaded.
+    pub fn record_closest_hits(&mut self, encoder: &mut wgpu::CommandEncoder, rays: &RayBuffers<'_>) -> Result<()> {
+        self.record(EntryPoint::ClosestHits, size_of::<Hit>(), encoder, rays)
+    }
+
+    /// As [`record_closest_hits`](Self::record_closest_hits), but each answer is a `u32`: 1 if anything lets no light through, else
+    /// 0.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn record_any_hits(&mut self, encoder: &mut wgpu::CommandEncoder, rays: &RayBuffers<'_>) -> Result<()> {
+        self.record(EntryPoint::AnyHits, size_of::<u32>(), encoder, rays)
+    }
+
+    /// The text with which a compute shader of the application's traces rays through the scene that was uploaded. `needs` are what
+    /// the scene [was compiled to need](crate::compile::CompileReport::needs); more only costs. While the include stays equal,
+    /// pipelines made from it serve.
+    pub fn include(&self, group: u32, needs: Needs, surfaces: bool) -> Include {
+        Include { group, surfaces, variant: self.scene.variant(needs) }
+    }
+
+    /// The layout of the include's bind group, for the pipeline.
+    pub fn include_layout(&self, include: &Include) -> wgpu::BindGroupLayout {
+        SceneBuffers::include_layout(&self.context, include)
+    }
+
+    /// The include's bind group. It holds the buffers that there are: make it anew after each upload, in microseconds.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] if no scene was uploaded, or its arrays are bound otherwise than when the include was made.
+    pub fn include_bind_group(&self, include: &Include) -> Result<wgpu::BindGroup> {
+        self.scene.bind_include(&self.context, include)
     }
 
     /// Bytes of GPU memory held for the scene, the last frame and batches.
@@ -115,17 +156,39 @@ impl GpuTracer {
         self.pipelines.len()
     }
 
+    fn record(
+        &mut self,
+        entry_point: EntryPoint,
+        answer_size: usize,
+        encoder: &mut wgpu::CommandEncoder,
+        rays: &RayBuffers<'_>,
+    ) -> Result<()> {
+        let Self { context, scene, pipelines, .. } = self;
+        let bound = scene.bind_group()?;
+        rays.check(&context.limits, answer_size)?;
+        if rays.count == 0 {
+            return Ok(());
+        }
+        let variant = scene.variant(BATCH_NEEDS);
+        let (pipeline, _) = pipelines.pipeline(context, scene.layout(), entry_point, variant)?;
+        context.scoped(batch::DURING, || {
+            rays.record(context, pipelines.batch_layout(), encoder, &pipeline, bound, answer_size);
+            Ok(())
+        })
+    }
+
     fn answers<T: Pod>(&mut self, entry_point: EntryPoint, rays: &[Ray], ray_mask: u32) -> Result<Vec<T>> {
-        let Self { context, scene, pipelines, batch_layout, batch, .. } = self;
-        let scene = scene.bind_group().ok_or_else(not_uploaded)?;
+        let Self { context, scene, pipelines, batch, .. } = self;
+        let bound = scene.bind_group()?;
         if rays.is_empty() {
             return Ok(Vec::new());
         }
-        let (pipeline, _) = pipelines.pipeline(context, entry_point, BATCH_NEEDS)?;
-        let last = batch.take().filter(|batch| batch.serves(rays.len()));
+        let variant = scene.variant(BATCH_NEEDS);
+        let (pipeline, _) = pipelines.pipeline(context, scene.layout(), entry_point, variant)?;
+        let last = batch.take().filter(|batch| batch.serves(context, rays.len()));
         let (used, answers) = context.scoped(batch::DURING, || {
-            let batch = last.unwrap_or_else(|| Batch::new(context, batch_layout, rays.len()));
-            let answers = batch.trace(context, &pipeline, scene, rays, ray_mask)?;
+            let batch = last.unwrap_or_else(|| Batch::new(context, pipelines.batch_layout(), rays.len()));
+            let answers = batch.trace(context, &pipeline, bound, rays, ray_mask)?;
             Ok((batch, answers))
         })?;
         *batch = Some(used);
@@ -146,8 +209,8 @@ impl Tracer for GpuTracer {
     }
 
     fn render(&mut self, _: &DeviceArrays, request: &FrameRequest) -> Result<()> {
-        let Self { context, scene, pipelines, frame_layout, timer, .. } = self;
-        let scene = scene.bind_group().ok_or_else(not_uploaded)?;
+        let Self { context, scene, pipelines, timer, .. } = self;
+        let bound = scene.bind_group()?;
         let size = [request.params.width, request.params.height];
         frame::check_size(size, &context.limits)?;
         if size.contains(&0) {
@@ -156,12 +219,13 @@ impl Tracer for GpuTracer {
             return Ok(());
         }
         let entry_point = if request.aovs { EntryPoint::RenderAovs } else { EntryPoint::Render };
-        let (pipeline, is_new) = pipelines.pipeline(context, entry_point, request.needs)?;
+        let variant = scene.variant(request.needs);
+        let (pipeline, is_new) = pipelines.pipeline(context, scene.layout(), entry_point, variant)?;
         self.empty = None;
         let last = self.frame.take().filter(|frame| frame.serves(size, request.aovs));
         let frame = context.scoped(frame::TRACING, || {
-            let frame = last.unwrap_or_else(|| Frame::new(context, frame_layout, size, request.aovs));
-            frame.trace(context, &pipeline, is_new, scene, timer.as_ref(), request)?;
+            let frame = last.unwrap_or_else(|| Frame::new(context, pipelines.frame_layout(), size, request.aovs));
+            frame.trace(context, &pipeline, is_new, bound, timer.as_ref(), request)?;
             Ok(frame)
         })?;
         self.frame = Some(frame);
@@ -170,6 +234,10 @@ impl Tracer for GpuTracer {
 
     fn texture(&self) -> Option<&wgpu::Texture> {
         Some(self.frame.as_ref()?.color())
+    }
+
+    fn as_gpu(&mut self) -> Option<&mut GpuTracer> {
+        Some(self)
     }
 
     fn trace_time(&self) -> Option<Duration> {
@@ -181,7 +249,11 @@ impl Tracer for GpuTracer {
         match (&self.frame, &self.empty) {
             (Some(frame), _) => Ok(frame.read(&self.context)?.into_image()),
             (None, Some(empty)) => Ok(empty.clone().into_image()),
-            (None, None) => Err(Error::Gpu { during: frame::READING, message: "the last one failed".into() }),
+            (None, None) => self.context.scoped(frame::READING, || {
+                // It may have failed because the device was lost, which this says.
+                self.context.submit(frame::READING, |_| {})?;
+                Err(Error::Gpu { during: frame::READING, message: "the last one failed".into() })
+            }),
         }
     }
 
@@ -193,8 +265,4 @@ impl Tracer for GpuTracer {
         let answers: Vec<u32> = self.answers(EntryPoint::AnyHits, rays, ray_mask)?;
         Ok(answers.into_iter().map(|answer| answer != 0).collect())
     }
-}
-
-fn not_uploaded() -> Error {
-    Error::Gpu { during: "tracing", message: "no scene was uploaded".into() }
 }

@@ -32,25 +32,25 @@ use super::math::{dot3, max, min};
 use crate::device::layout::{Node, Triangle};
 
 /// See point 3.
-pub(super) const BOX_SLACK: f32 = 1.0 - 1.0 / (1 << 18) as f32;
+pub(crate) const BOX_SLACK: f32 = 1.0 - 1.0 / (1 << 18) as f32;
 /// See point 4: 2^-64 of the longest component, and at least 2^-120, whose reciprocal is finite.
-pub(super) const LEAST_SHARE: f32 = 1.0 / (1_u128 << 64) as f32;
-pub(super) const LEAST_COMPONENT: f32 = 1.0 / (1_u128 << 120) as f32;
+pub(crate) const LEAST_SHARE: f32 = 1.0 / (1_u128 << 64) as f32;
+pub(crate) const LEAST_COMPONENT: f32 = 1.0 / (1_u128 << 120) as f32;
 /// See point 2.
-pub(super) const CORNER_TOLERANCE: f32 = 1.0 / (1 << 22) as f32;
+pub(crate) const CORNER_TOLERANCE: f32 = 1.0 / (1 << 22) as f32;
 /// See point 2.
-pub(super) const EDGE_TOLERANCE: f32 = 1.0 / (1 << 21) as f32;
+pub(crate) const EDGE_TOLERANCE: f32 = 1.0 / (1 << 21) as f32;
 
 /// A ray as boxes see it.
 #[derive(Clone, Copy)]
-pub(super) struct SlabRay {
+pub(crate) struct SlabRay {
     pub origin: Vec3,
     pub reciprocal: Vec3,
 }
 
 /// A ray as triangles see it: the rows of a shear that takes it to the z axis, and of what takes points to t.
 #[derive(Clone, Copy, Default)]
-pub(super) struct ShearRay {
+pub(crate) struct ShearRay {
     pub origin: Vec3,
     pub x_row: Vec3,
     pub y_row: Vec3,
@@ -73,11 +73,11 @@ fn min_component(v: Vec3) -> f32 {
     min(min(v.x, v.y), v.z)
 }
 
-pub(super) fn max_component(v: Vec3) -> f32 {
+pub(crate) fn max_component(v: Vec3) -> f32 {
     max(max(v.x, v.y), v.z)
 }
 
-pub(super) fn slab_ray(origin: Vec3, direction: Vec3) -> SlabRay {
+pub(crate) fn slab_ray(origin: Vec3, direction: Vec3) -> SlabRay {
     let least = max(max_component(direction.abs()) * LEAST_SHARE, LEAST_COMPONENT);
     let reciprocal = |d: f32| {
         let bounded = max(d.abs(), least);
@@ -88,7 +88,7 @@ pub(super) fn slab_ray(origin: Vec3, direction: Vec3) -> SlabRay {
 
 /// Whether the ray meets the box between `t_min`, which is not negative, and `t_max`, both included.
 #[inline]
-pub(super) fn meets_box(ray: &SlabRay, t_min: f32, t_max: f32, node: &Node) -> bool {
+pub(crate) fn meets_box(ray: &SlabRay, t_min: f32, t_max: f32, node: &Node) -> bool {
     let a = (Vec3::from_array(node.min) - ray.origin) * ray.reciprocal;
     let b = (Vec3::from_array(node.max) - ray.origin) * ray.reciprocal;
     let near = Vec3::new(min(a.x, b.x), min(a.y, b.y), min(a.z, b.z));
@@ -104,7 +104,7 @@ fn greater_of_others(v: Vec3) -> Vec3 {
 }
 
 /// 1 over the greatest power of two that is not above `value`.
-pub(super) fn reciprocal_power_of_two(value: f32) -> f32 {
+pub(crate) fn reciprocal_power_of_two(value: f32) -> f32 {
     let exponent = (value.to_bits() >> 23).min(253);
     f32::from_bits((254 - exponent) << 23)
 }
@@ -114,7 +114,7 @@ pub(super) fn reciprocal_power_of_two(value: f32) -> f32 {
 ///
 /// A row has the number 1 (times that power) and a 0 besides the slope: a product with either is exact, so that a dot product
 /// rounds as a product and a sum do.
-pub(super) fn shear_ray(origin: Vec3, direction: Vec3, extent: f32) -> ShearRay {
+pub(crate) fn shear_ray(origin: Vec3, direction: Vec3, extent: f32) -> ShearRay {
     let scale = reciprocal_power_of_two(extent);
     let length = direction.abs();
     let (depth, x_row, y_row, t_row);

@@ -8,7 +8,7 @@ use super::intersect::max_component;
 use super::math::{dot3, length3, max, min};
 use super::offset::leave;
 use super::surface::{GRAZING, Surface};
-use super::{KernelScene, transmittance};
+use super::traverse::Traverse;
 use crate::device::layout::{FrameParams, LIGHT_DIRECTIONAL, LIGHT_SPOT, Light, Ray};
 
 /// Light as it arrives at a point.
@@ -20,9 +20,15 @@ struct Arrival {
 }
 
 /// What a surface reflects to the viewer of all lights, shadows included.
-pub(crate) fn direct_light(scene: &KernelScene<'_>, params: &FrameParams, surface: &Surface, to_viewer: Vec3) -> Vec3 {
+pub(crate) fn direct_light<'a>(
+    rays: &mut impl Traverse<'a>,
+    params: &FrameParams,
+    surface: &Surface,
+    to_viewer: Vec3,
+) -> Vec3 {
     let mut sum = Vec3::ZERO;
-    for light in scene.lights.iter().take(params.light_count as usize) {
+    let lights = rays.scene().lights;
+    for light in lights.iter().take(params.light_count as usize) {
         let arrival = light_at(light, surface.position);
         let facing = dot3(surface.geometric_normal, arrival.direction);
         if facing < GRAZING || max_component(arrival.irradiance) <= 0.0 {
@@ -33,7 +39,7 @@ pub(crate) fn direct_light(scene: &KernelScene<'_>, params: &FrameParams, surfac
             continue;
         }
         let to_light = shadow_ray(light, leave(surface, arrival.direction));
-        let visible = transmittance(scene, &to_light, params.ray_mask) * terminator(surface, arrival.direction, facing);
+        let visible = rays.transmittance(&to_light, params.ray_mask) * terminator(surface, arrival.direction, facing);
         sum += reflected * visible;
     }
     sum

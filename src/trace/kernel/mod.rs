@@ -7,28 +7,40 @@ mod light;
 mod material;
 pub(crate) mod math;
 mod offset;
+mod rope;
 mod sky;
 mod surface;
 mod texture;
 mod traverse;
+mod walk;
 mod whitted;
+mod wide;
 
 pub(crate) use camera::camera_ray;
+pub(crate) use intersect::{
+    BOX_SLACK, CORNER_TOLERANCE, EDGE_TOLERANCE, LEAST_COMPONENT, LEAST_SHARE, ShearRay, SlabRay, max_component,
+    meets_box, reciprocal_power_of_two, shear_ray, slab_ray,
+};
 pub(crate) use material::is_hole;
-pub(crate) use traverse::{any_hit, closest_hit, transmittance};
+pub(crate) use traverse::{
+    Traverse, any_hit, closest_hit, count_any, count_closest, is_closer, passes_at, transmittance,
+};
 #[cfg(feature = "gpu")]
 pub(crate) use whitted::most_rays;
 pub(crate) use whitted::{MAX_DEPTH, Pixel, render_pixel};
 
 use crate::device::DeviceArrays;
-use crate::device::layout::{Instance, Light, Material, Node, Streams, TextureInfo, Triangle};
+use crate::device::layout::{Instance, Light, Material, Node, Streams, TextureInfo, Triangle, WideNode};
+use crate::trace::Layout;
 
 /// The device arrays as the kernel reads them: the bindings of `types.wgsl`.
 #[derive(Clone, Copy)]
 pub(crate) struct KernelScene<'a> {
+    pub layout: Layout,
     pub tlas_nodes: &'a [Node],
     pub instances: &'a [Instance],
     pub blas_nodes: &'a [Node],
+    pub wide_nodes: &'a [WideNode],
     pub triangles: &'a [Triangle],
     pub geometries: &'a [Streams],
     pub indices: &'a [u32],
@@ -42,11 +54,14 @@ pub(crate) struct KernelScene<'a> {
 }
 
 impl<'a> KernelScene<'a> {
+    /// Walked along escape indices.
     pub(crate) fn new(arrays: &'a DeviceArrays) -> Self {
         Self {
+            layout: Layout::Rope,
             tlas_nodes: &arrays.tlas_nodes,
             instances: &arrays.instances,
             blas_nodes: &arrays.blas_nodes,
+            wide_nodes: &arrays.wide_nodes,
             triangles: &arrays.triangles,
             geometries: &arrays.geometries,
             indices: &arrays.indices,
@@ -59,6 +74,11 @@ impl<'a> KernelScene<'a> {
             lights: &arrays.lights,
         }
     }
+
+    /// Walked as wished, where the arrays have what that takes.
+    pub(crate) fn with_layout(arrays: &'a DeviceArrays, layout: Layout) -> Self {
+        Self { layout: layout.of(arrays), ..Self::new(arrays) }
+    }
 }
 
 #[cfg(test)]
@@ -67,7 +87,7 @@ mod tests {
 
     use crate::compile::{MAX_MIRROR_ROUGHNESS, Needs};
     use crate::device::layout::{
-        InstanceFlags, LIGHT_DIRECTIONAL, LIGHT_POINT, LIGHT_SPOT, MaterialFlags, NONE, TextureFlags,
+        InstanceFlags, LIGHT_DIRECTIONAL, LIGHT_POINT, LIGHT_SPOT, MaterialFlags, NONE, Node, TextureFlags,
     };
     use crate::trace::shader::EntryPoint;
 
@@ -93,10 +113,12 @@ mod tests {
             offset { HALF_ULP, TRANSFORM_ERROR, EDGE_ERROR }
             sky { OVERLAP_FIT_6, OVERLAP_FIT_4, OVERLAP_FIT_2, OVERLAP_FIT_0 }
             brdf { MIRROR_ROUGHNESS, HIGHLIGHT_ROUGHNESS }
+            wide { TOP_STACK, WIDE_STACK, WAITING_BITS, MISSED }
             whitted { MAX_DEPTH, MAX_LAYERS, MAX_RAYS, MIN_THROUGHPUT, MAX_PENDING }
         };
         let others = [
             ("NONE", NONE.to_string()),
+            ("UNUSED", format!("{:?}", Node::UNUSED)),
             ("LIGHT_POINT", LIGHT_POINT.to_string()),
             ("LIGHT_SPOT", LIGHT_SPOT.to_string()),
             ("LIGHT_DIRECTIONAL", LIGHT_DIRECTIONAL.to_string()),

@@ -1,139 +1,115 @@
-//! The two-level traversal (paper, section 3) and its three queries. Twin of `shaders/shared/traverse.wgsl`.
-//!
-//! Both levels are walked by one loop without a stack: an escape index says where to go on when a box is missed or a
-//! leaf done. At a leaf of the top level the ray is transformed into the instance's space, but not normalised, so that t
-//! means the same on both levels; the world ray and the leaf's escape index stay in registers, and are restored at the
-//! end of the bottom level.
+//! The three queries, whichever [`Layout`] is walked. Twin of `shaders/shared/traverse.wgsl`.
 
 use glam::Vec3;
 
 use super::KernelScene;
-use super::intersect::{Crossing, ShearRay, SlabRay, cross_triangle, max_component, meets_box, shear_ray, slab_ray};
+use super::intersect::{Crossing, cross_triangle, max_component};
 use super::material::{is_hole, passes};
-use super::math::{max, transform_point, transform_vector};
-use crate::device::layout::{Hit, InstanceFlags, NONE, PrimitiveRange, Ray, Triangle};
+use super::rope::Rope;
+use super::walk::Walk;
+use super::wide::Wide;
+use crate::device::layout::{Hit, Instance, InstanceFlags, NONE, Ray, Triangle};
+use crate::trace::{Counts, Layout};
 
-/// Where a ray is on its way through the two levels.
-struct Traversal {
-    /// The ray in world space.
-    world: SlabRay,
-    /// The ray in the space of the level that it is in.
-    level: SlabRay,
-    /// The ray in the space of the instance that it is in, if any.
-    shear: ShearRay,
-    direction: Vec3,
-    t_min: f32,
-    ray_mask: u32,
-    /// Next node of the level, relative to its first, or [`NONE`] at its end.
-    index: u32,
-    /// [`NONE`] in the top level.
-    instance: u32,
-    /// Where to go on in the top level after the instance.
-    resume: u32,
-    first_node: u32,
-    first_triangle: u32,
-    flags: u32,
+/// What traces the rays of a pixel.
+pub(crate) trait Traverse<'a> {
+    fn scene(&self) -> &'a KernelScene<'a>;
+
+    /// See [`closest_hit`].
+    fn closest_hit(&mut self, ray: &Ray, ray_mask: u32) -> Hit;
+
+    /// See [`transmittance`].
+    fn transmittance(&mut self, ray: &Ray, ray_mask: u32) -> Vec3;
 }
 
-impl Traversal {
-    fn new(scene: &KernelScene<'_>, ray: &Ray, ray_mask: u32) -> Self {
-        let world = slab_ray(Vec3::from_array(ray.origin), Vec3::from_array(ray.direction));
-        // A hierarchy of nothing is absent or zero, and no escape index leads back to node 0.
-        let is_empty = scene.tlas_nodes.first().is_none_or(|node| node.escape_index == 0);
-        Self {
-            world,
-            level: world,
-            shear: ShearRay::default(),
-            direction: Vec3::from_array(ray.direction),
-            t_min: ray.t_min,
-            ray_mask,
-            index: if is_empty { NONE } else { 0 },
-            instance: NONE,
-            resume: NONE,
-            first_node: 0,
-            first_triangle: 0,
-            flags: 0,
-        }
+impl<'a> Traverse<'a> for &'a KernelScene<'a> {
+    fn scene(&self) -> &'a KernelScene<'a> {
+        self
     }
 
-    /// Goes on to the next leaf of triangles whose box the ray meets up to `t_max`.
-    #[inline]
-    fn next_leaf(&mut self, scene: &KernelScene<'_>, t_max: f32) -> Option<PrimitiveRange> {
-        loop {
-            if self.index == NONE {
-                if self.instance == NONE {
-                    return None;
-                }
-                self.leave_instance();
-                continue;
-            }
-            let in_instance = self.instance != NONE;
-            let node = if in_instance {
-                &scene.blas_nodes[(self.first_node + self.index) as usize]
-            } else {
-                &scene.tlas_nodes[self.index as usize]
-            };
-            if !meets_box(&self.level, self.t_min, t_max, node) {
-                self.index = node.escape_index;
-            } else if node.primitives == PrimitiveRange::INNER {
-                self.index += 1;
-            } else {
-                self.index = node.escape_index;
-                if in_instance {
-                    return Some(node.primitives);
-                }
-                self.enter_instance(scene, node.primitives.first());
-            }
-        }
+    fn closest_hit(&mut self, ray: &Ray, ray_mask: u32) -> Hit {
+        closest_hit(self, ray, ray_mask)
     }
 
-    fn enter_instance(&mut self, scene: &KernelScene<'_>, index: u32) {
-        let instance = &scene.instances[index as usize];
-        if instance.mask & self.ray_mask == 0 {
-            return;
-        }
-        let origin = transform_point(&instance.local_from_world, self.world.origin);
-        let direction = transform_vector(&instance.local_from_world, self.direction);
-        self.first_node = instance.first_node;
-        self.first_triangle = instance.first_triangle;
-        self.flags = instance.flags;
-        self.resume = self.index;
-        self.instance = index;
-        self.index = 0;
-        self.level = slab_ray(origin, direction);
-        let root = &scene.blas_nodes[self.first_node as usize];
-        let corners = max(max_abs(root.min), max_abs(root.max));
-        self.shear = shear_ray(origin, direction, max(corners, max_component(origin.abs())));
+    fn transmittance(&mut self, ray: &Ray, ray_mask: u32) -> Vec3 {
+        transmittance(self, ray, ray_mask)
     }
-
-    fn leave_instance(&mut self) {
-        self.level = self.world;
-        self.index = self.resume;
-        self.instance = NONE;
-    }
-}
-
-fn max_abs(v: [f32; 3]) -> f32 {
-    max_component(Vec3::from_array(v).abs())
 }
 
 /// The closest hit in `t_min..=t_max`; of hits at equal t the one of the lower instance, then the lower primitive.
 pub(crate) fn closest_hit(scene: &KernelScene<'_>, ray: &Ray, ray_mask: u32) -> Hit {
+    match scene.layout {
+        Layout::Rope => closest(scene, &mut Rope::<()>::new(scene, ray, ray_mask), ray),
+        Layout::Wide => closest(scene, &mut Wide::<()>::new(scene, ray, ray_mask, true), ray),
+    }
+}
+
+/// How much light gets through between `t_min` and `t_max`.
+pub(crate) fn transmittance(scene: &KernelScene<'_>, ray: &Ray, ray_mask: u32) -> Vec3 {
+    match scene.layout {
+        Layout::Rope => light_through(scene, &mut Rope::<()>::new(scene, ray, ray_mask), ray),
+        Layout::Wide => light_through(scene, &mut Wide::<()>::new(scene, ray, ray_mask, false), ray),
+    }
+}
+
+/// Whether anything that lets no light through lies between `t_min` and `t_max`.
+pub(crate) fn any_hit(scene: &KernelScene<'_>, ray: &Ray, ray_mask: u32) -> bool {
+    match scene.layout {
+        Layout::Rope => any(scene, &mut Rope::<()>::new(scene, ray, ray_mask), ray),
+        Layout::Wide => any(scene, &mut Wide::<()>::new(scene, ray, ray_mask, false), ray),
+    }
+}
+
+/// What [`closest_hit`] costs.
+pub(crate) fn count_closest(scene: &KernelScene<'_>, ray: &Ray, ray_mask: u32) -> Counts {
+    match scene.layout {
+        Layout::Rope => {
+            let mut walk = Rope::<Counts>::new(scene, ray, ray_mask);
+            closest(scene, &mut walk, ray);
+            walk.counter
+        }
+        Layout::Wide => {
+            let mut walk = Wide::<Counts>::new(scene, ray, ray_mask, true);
+            closest(scene, &mut walk, ray);
+            walk.counter
+        }
+    }
+}
+
+/// What [`any_hit`] costs.
+pub(crate) fn count_any(scene: &KernelScene<'_>, ray: &Ray, ray_mask: u32) -> Counts {
+    match scene.layout {
+        Layout::Rope => {
+            let mut walk = Rope::<Counts>::new(scene, ray, ray_mask);
+            any(scene, &mut walk, ray);
+            walk.counter
+        }
+        Layout::Wide => {
+            let mut walk = Wide::<Counts>::new(scene, ray, ray_mask, false);
+            any(scene, &mut walk, ray);
+            walk.counter
+        }
+    }
+}
+
+#[inline]
+fn closest(scene: &KernelScene<'_>, walk: &mut impl Walk, ray: &Ray) -> Hit {
     let mut hit = Hit { t: ray.t_max, ..Hit::MISS };
-    let mut traversal = Traversal::new(scene, ray, ray_mask);
-    while let Some(leaf) = traversal.next_leaf(scene, hit.t) {
-        let first = traversal.first_triangle + leaf.first();
+    while let Some(leaf) = walk.next_leaf(scene, hit.t) {
+        walk.count_triangles(leaf.count());
+        let place = walk.place();
+        let first = place.first_triangle + leaf.first();
         for (i, triangle) in (first..).zip(&scene.triangles[first as usize..][..leaf.count() as usize]) {
-            let Some(crossing) = cross_triangle(&traversal.shear, triangle) else { continue };
-            if crossing.t < ray.t_min || !is_closer(crossing.t, traversal.instance, triangle.primitive, &hit) {
+            let Some(crossing) = cross_triangle(&place.shear, triangle) else { continue };
+            if crossing.t < ray.t_min || !is_closer(crossing.t, place.instance, triangle.primitive, &hit) {
                 continue;
             }
-            let flags = InstanceFlags::from_bits_retain(traversal.flags);
+            let flags = InstanceFlags::from_bits_retain(place.flags);
             if crossing.back && flags.contains(InstanceFlags::CULL_BACK) {
                 continue;
             }
             if flags.contains(InstanceFlags::ALPHA_MASK) {
-                let instance = &scene.instances[traversal.instance as usize];
+                let instance = &scene.instances[place.instance as usize];
                 if is_hole(scene, instance, triangle, crossing.u, crossing.v) {
                     continue;
                 }
@@ -142,7 +118,7 @@ pub(crate) fn closest_hit(scene: &KernelScene<'_>, ray: &Ray, ray_mask: u32) -> 
                 t: crossing.t,
                 u: crossing.u,
                 v: crossing.v,
-                instance: traversal.instance,
+                instance: place.instance,
                 primitive: triangle.primitive,
                 triangle: i,
                 back: u32::from(crossing.back),
@@ -153,23 +129,23 @@ pub(crate) fn closest_hit(scene: &KernelScene<'_>, ray: &Ray, ray_mask: u32) -> 
     if hit.instance == NONE { Hit::MISS } else { hit }
 }
 
-fn is_closer(t: f32, instance: u32, primitive: u32, hit: &Hit) -> bool {
+pub(crate) fn is_closer(t: f32, instance: u32, primitive: u32, hit: &Hit) -> bool {
     if t != hit.t {
         return t < hit.t;
     }
     (instance, primitive) < (hit.instance, hit.primitive)
 }
 
-/// How much light gets through between `t_min` and `t_max`.
-pub(crate) fn transmittance(scene: &KernelScene<'_>, ray: &Ray, ray_mask: u32) -> Vec3 {
+#[inline]
+fn light_through(scene: &KernelScene<'_>, walk: &mut impl Walk, ray: &Ray) -> Vec3 {
     let mut light = Vec3::ONE;
-    let mut traversal = Traversal::new(scene, ray, ray_mask);
-    while let Some(leaf) = traversal.next_leaf(scene, ray.t_max) {
-        let first = (traversal.first_triangle + leaf.first()) as usize;
+    while let Some(leaf) = walk.next_leaf(scene, ray.t_max) {
+        let place = walk.place();
+        let first = (place.first_triangle + leaf.first()) as usize;
         for triangle in &scene.triangles[first..][..leaf.count() as usize] {
-            let Some(crossing) = cross_triangle(&traversal.shear, triangle) else { continue };
+            let Some(crossing) = cross_triangle(&place.shear, triangle) else { continue };
             if crossing.t >= ray.t_min && crossing.t <= ray.t_max {
-                light *= passes_crossing(scene, &traversal, triangle, &crossing);
+                light *= passes_crossing(scene, place.instance, triangle, &crossing);
                 if max_component(light) <= 0.0 {
                     return Vec3::ZERO;
                 }
@@ -179,16 +155,17 @@ pub(crate) fn transmittance(scene: &KernelScene<'_>, ray: &Ray, ray_mask: u32) -
     light
 }
 
-/// Whether anything that lets no light through lies between `t_min` and `t_max`.
-pub(crate) fn any_hit(scene: &KernelScene<'_>, ray: &Ray, ray_mask: u32) -> bool {
-    let mut traversal = Traversal::new(scene, ray, ray_mask);
-    while let Some(leaf) = traversal.next_leaf(scene, ray.t_max) {
-        let first = (traversal.first_triangle + leaf.first()) as usize;
+#[inline]
+fn any(scene: &KernelScene<'_>, walk: &mut impl Walk, ray: &Ray) -> bool {
+    while let Some(leaf) = walk.next_leaf(scene, ray.t_max) {
+        walk.count_triangles(leaf.count());
+        let place = walk.place();
+        let first = (place.first_triangle + leaf.first()) as usize;
         for triangle in &scene.triangles[first..][..leaf.count() as usize] {
-            let Some(crossing) = cross_triangle(&traversal.shear, triangle) else { continue };
+            let Some(crossing) = cross_triangle(&place.shear, triangle) else { continue };
             if crossing.t >= ray.t_min
                 && crossing.t <= ray.t_max
-                && max_component(passes_crossing(scene, &traversal, triangle, &crossing)) <= 0.0
+                && max_component(passes_crossing(scene, place.instance, triangle, &crossing)) <= 0.0
             {
                 return true;
             }
@@ -197,11 +174,16 @@ pub(crate) fn any_hit(scene: &KernelScene<'_>, ray: &Ray, ray_mask: u32) -> bool
     false
 }
 
-fn passes_crossing(scene: &KernelScene<'_>, traversal: &Traversal, triangle: &Triangle, crossing: &Crossing) -> Vec3 {
-    if !InstanceFlags::from_bits_retain(traversal.flags).contains(InstanceFlags::TRANSLUCENT) {
+fn passes_crossing(scene: &KernelScene<'_>, instance: u32, triangle: &Triangle, crossing: &Crossing) -> Vec3 {
+    passes_at(scene, &scene.instances[instance as usize], triangle, crossing.u, crossing.v)
+}
+
+/// How much light a triangle lets through at a point.
+pub(crate) fn passes_at(scene: &KernelScene<'_>, instance: &Instance, triangle: &Triangle, u: f32, v: f32) -> Vec3 {
+    if !InstanceFlags::from_bits_retain(instance.flags).contains(InstanceFlags::TRANSLUCENT) {
         return Vec3::ZERO;
     }
-    passes(scene, &scene.instances[traversal.instance as usize], triangle, crossing.u, crossing.v)
+    passes(scene, instance, triangle, u, v)
 }
 
 #[cfg(test)]
@@ -210,7 +192,7 @@ mod tests {
 
     use super::*;
     use crate::device::DeviceArrays;
-    use crate::device::layout::{Instance, Material, MaterialFlags, Node, Streams};
+    use crate::device::layout::{Material, MaterialFlags, Node, PrimitiveRange, Streams};
 
     /// Triangles one behind the other at z = 0, 1, 2, ..., in one leaf of one instance.
     fn layers(count: u32, material: Material, flags: InstanceFlags) -> DeviceArrays {

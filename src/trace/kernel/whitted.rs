@@ -17,17 +17,16 @@
 use glam::{Vec3, Vec4, Vec4Swizzles as _};
 
 use super::brdf::{divide_light, refracted_cosine, sharpness};
-use super::camera::camera_ray;
 use super::intersect::max_component;
 use super::light::direct_light;
 use super::math::dot3;
 use super::offset::leave;
 use super::sky::{sky_ambient, sky_blurred, sky_radiance};
 use super::surface::{Surface, raise, surface_at, unit_or};
-use super::{KernelScene, closest_hit};
+use super::traverse::Traverse;
 #[cfg(feature = "gpu")]
 use crate::compile::Needs;
-use crate::device::layout::{FrameParams, MaterialFlags, NONE, Ray};
+use crate::device::layout::{FrameParams, Hit, MaterialFlags, NONE, Ray};
 
 /// The most reflections and refractions of a path, whatever `max_depth` says: [`View::MAX_DEPTH`](crate::View::MAX_DEPTH).
 pub(crate) const MAX_DEPTH: u32 = 8;
@@ -91,9 +90,9 @@ struct Paths {
     pending: [PendingRay; MAX_PENDING],
 }
 
-pub(crate) fn render_pixel(scene: &KernelScene<'_>, params: &FrameParams, x: u32, y: u32) -> Pixel {
+/// `primary` goes through the pixel and hits `hit`: neighbours find that out together.
+pub(crate) fn render_pixel<'a>(rays: &mut impl Traverse<'a>, params: &FrameParams, primary: &Ray, hit: Hit) -> Pixel {
     let mut pixel = Pixel::NOTHING;
-    let primary = camera_ray(params, x, y);
     let [origin, direction] = [primary.origin, primary.direction].map(Vec3::from_array);
     let first = PendingRay { origin, depth: 0, direction, layers: 0, throughput: Vec3::ONE };
     let mut paths = Paths { color: Vec3::ZERO, pending_count: 1, pending: [first; MAX_PENDING] };
@@ -103,18 +102,18 @@ pub(crate) fn render_pixel(scene: &KernelScene<'_>, params: &FrameParams, x: u32
         let ray = paths.pending[paths.pending_count];
         let world_ray =
             Ray { origin: ray.origin.to_array(), t_min: 0.0, direction: ray.direction.to_array(), t_max: f32::MAX };
-        let hit = closest_hit(scene, &world_ray, params.ray_mask);
+        let hit = if traced == 0 { hit } else { rays.closest_hit(&world_ray, params.ray_mask) };
         if hit.instance == NONE {
             paths.color += ray.throughput * sky_radiance(params, ray.direction);
         } else {
-            let surface = surface_at(scene, &hit, ray.direction);
+            let surface = surface_at(rays.scene(), &hit, ray.direction);
             if traced == 0 {
-                let [slot, version] = scene.instances[hit.instance as usize].node;
+                let [slot, version] = rays.scene().instances[hit.instance as usize].node;
                 pixel.normal = surface.normal;
                 pixel.depth = hit.t;
                 pixel.ids = [slot, version, hit.primitive, hit.instance];
             }
-            shade(scene, params, &mut paths, &ray, &surface);
+            shade(rays, params, &mut paths, &ray, &surface);
         }
         traced += 1;
     }
@@ -128,7 +127,13 @@ pub(crate) fn render_pixel(scene: &KernelScene<'_>, params: &FrameParams, x: u32
 
 /// Adds what the surface sends back along the ray, and the rays that must be traced to know the rest. What lies behind a
 /// blended surface comes last, so that nothing of this surface waits while it is traced: see [`MAX_PENDING`].
-fn shade(scene: &KernelScene<'_>, params: &FrameParams, paths: &mut Paths, ray: &PendingRay, surface: &Surface) {
+fn shade<'a>(
+    rays: &mut impl Traverse<'a>,
+    params: &FrameParams,
+    paths: &mut Paths,
+    ray: &PendingRay,
+    surface: &Surface,
+) {
     // 1. Alpha divides the light between what lies behind and the surface.
     let mut throughput = ray.throughput;
     if surface.flags.contains(MaterialFlags::BLEND) {
@@ -152,7 +157,7 @@ fn shade(scene: &KernelScene<'_>, params: &FrameParams, paths: &mut Paths, ray: 
     let sharp = sharpness(surface.roughness);
     let mut radiance = surface.emissive + shares.matt * sky_ambient(params, surface.normal);
     radiance += shares.mirrored * (sky_blurred(params, mirrored, surface.roughness) * (1.0 - sharp));
-    radiance += direct_light(scene, params, surface, to_viewer);
+    radiance += direct_light(rays, params, surface, to_viewer);
     paths.color += throughput * radiance;
 
     // 3. Light through the surface, and light mirrored by it.

@@ -1,10 +1,20 @@
 //! The `cpu` executor: the kernel on all cores, a tile of pixels at a time.
 
+mod lanes;
+mod packet;
+mod queries;
+mod rays;
+mod single;
+mod top;
+
+use bytemuck::Zeroable;
 use rayon::prelude::*;
 
-use super::kernel::{KernelScene, Pixel, any_hit, closest_hit, render_pixel};
+use self::packet::LANES;
+use self::rays::Rays;
+use super::kernel::{KernelScene, Pixel, camera_ray, render_pixel};
 use super::planes::Planes;
-use super::{DeviceInfo, FrameRequest, Tracer};
+use super::{DeviceInfo, FrameRequest, Layout, Tracer};
 use crate::Result;
 use crate::device::DeviceArrays;
 use crate::device::layout::{FrameParams, Hit, Ray};
@@ -23,8 +33,10 @@ pub struct Cpu {
 
 /// Pixels along a tile's side: rays of a tile visit much the same nodes, and there are enough tiles to keep all cores busy.
 const TILE: u32 = 16;
-/// Rays that one task traces at least.
-const RAYS_A_TASK: usize = 256;
+/// Pixels along the side of a block whose primary rays are a packet.
+const BLOCK: usize = 4;
+/// Packets of rays that one task traces at least.
+const PACKETS_A_TASK: usize = 16;
 
 impl Default for Cpu {
     fn default() -> Self {
@@ -45,7 +57,7 @@ impl Tracer for Cpu {
     }
 
     fn render(&mut self, arrays: &DeviceArrays, request: &FrameRequest) -> Result<()> {
-        let scene = KernelScene::new(arrays);
+        let scene = KernelScene::with_layout(arrays, Layout::Wide);
         let params = &request.params;
         let count = Planes::check_size(params.width, params.height)?;
         (self.width, self.height, self.aovs) = (params.width, params.height, request.aovs);
@@ -56,9 +68,11 @@ impl Tracer for Cpu {
         let rows_of_tiles = self.pixels.par_chunks_mut(TILE as usize * self.width as usize);
         rows_of_tiles.zip((0..self.height).into_par_iter().step_by(TILE as usize)).for_each(|(row, top)| {
             let tiles = row.par_chunks_mut((TILE * rows_of_tile(self.height, top)) as usize);
-            tiles.zip((0..self.width).into_par_iter().step_by(TILE as usize)).for_each(|(pixels, left)| {
-                render_tile(&scene, params, [left, top], pixels);
-            });
+            let tiles = tiles.zip((0..self.width).into_par_iter().step_by(TILE as usize));
+            tiles.for_each_init(
+                || Rays::new(&scene),
+                |rays, (pixels, left)| render_tile(rays, params, [left, top], pixels),
+            );
         });
         Ok(())
     }
@@ -74,13 +88,21 @@ impl Tracer for Cpu {
     }
 
     fn closest_hits(&mut self, arrays: &DeviceArrays, rays: &[Ray], ray_mask: u32) -> Result<Vec<Hit>> {
-        let scene = KernelScene::new(arrays);
-        Ok(rays.par_iter().with_min_len(RAYS_A_TASK).map(|ray| closest_hit(&scene, ray, ray_mask)).collect())
+        let scene = KernelScene::with_layout(arrays, Layout::Wide);
+        let packets = rays.par_chunks(LANES).with_min_len(PACKETS_A_TASK);
+        let hits = packets.map_init(|| Rays::new(&scene), |tracer, rays| tracer.closest_hits(rays, ray_mask));
+        let mut hits = hits.collect::<Vec<_>>().into_flattened();
+        hits.truncate(rays.len());
+        Ok(hits)
     }
 
     fn any_hits(&mut self, arrays: &DeviceArrays, rays: &[Ray], ray_mask: u32) -> Result<Vec<bool>> {
-        let scene = KernelScene::new(arrays);
-        Ok(rays.par_iter().with_min_len(RAYS_A_TASK).map(|ray| any_hit(&scene, ray, ray_mask)).collect())
+        let scene = KernelScene::with_layout(arrays, Layout::Wide);
+        let packets = rays.par_chunks(LANES).with_min_len(PACKETS_A_TASK);
+        let hits = packets.map_init(|| Rays::new(&scene), |tracer, rays| tracer.any_hits(rays, ray_mask));
+        let mut hits = hits.collect::<Vec<_>>().into_flattened();
+        hits.truncate(rays.len());
+        Ok(hits)
     }
 }
 
@@ -110,10 +132,23 @@ fn pixel_index([width, height]: [u32; 2], x: u32, y: u32) -> usize {
     above + before + ((y - top) * columns_of_tile(width, left) + x - left) as usize
 }
 
-fn render_tile(scene: &KernelScene<'_>, params: &FrameParams, [left, top]: [u32; 2], pixels: &mut [Pixel]) {
-    let columns = columns_of_tile(params.width, left);
-    for (i, pixel) in (0..).zip(pixels) {
-        *pixel = render_pixel(scene, params, left + i % columns, top + i / columns);
+/// Packets are blocks of pixels.
+fn render_tile(rays: &mut Rays<'_>, params: &FrameParams, [left, top]: [u32; 2], pixels: &mut [Pixel]) {
+    let (columns, rows) = (columns_of_tile(params.width, left), rows_of_tile(params.height, top));
+    for (y, x) in (0..rows).step_by(BLOCK).flat_map(|y| (0..columns).step_by(BLOCK).map(move |x| (y, x))) {
+        let size = [columns - x, rows - y].map(|size| size.min(BLOCK as u32));
+        let mut places = [(0, Ray::zeroed()); LANES];
+        let count = (size[0] * size[1]) as usize;
+        for (i, (place, primary)) in (0..).zip(&mut places[..count]) {
+            let (x, y) = (x + i % size[0], y + i / size[0]);
+            *place = (y * columns + x) as usize;
+            *primary = camera_ray(params, left + x, top + y);
+        }
+        let primaries = places.map(|(_, primary)| primary);
+        let hits = rays.closest_hits(&primaries[..count], params.ray_mask);
+        for ((place, primary), hit) in places.iter().zip(hits).take(count) {
+            pixels[*place] = render_pixel(rays, params, primary, hit);
+        }
     }
 }
 

@@ -1,0 +1,51 @@
+//! Which arrays the kernel walks, and what that costs.
+
+use std::ops::AddAssign;
+
+use serde::Serialize;
+
+use crate::device::DeviceArrays;
+
+/// The hierarchies that the GPU's kernel, and its twin in `emulated`, walk. All give the same hits, bit for bit.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Layout {
+    /// Both levels in one fixed order along escape indices, without a stack: the paper's. Also taken for arrays without wide nodes.
+    Rope,
+    /// Near children first: the top level's of two, the bottom levels' of eight with quantised boxes, with short stacks. Rays that
+    /// look for any hit walk the top level as above.
+    #[default]
+    Wide,
+}
+
+impl Layout {
+    /// The one to walk these arrays by: arrays made by hand may have no wide nodes.
+    pub(crate) fn of(self, arrays: &DeviceArrays) -> Self {
+        if arrays.wide_nodes.is_empty() { Self::Rope } else { self }
+    }
+}
+
+/// What rays cost, whatever the machine.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Counts {
+    /// Nodes read, of both levels.
+    pub nodes: u64,
+    /// Boxes tested.
+    pub boxes: u64,
+    /// Triangles tested.
+    pub triangles: u64,
+    /// Instances entered.
+    pub instances: u64,
+    /// Bytes of all these.
+    pub bytes: u64,
+}
+
+impl AddAssign for Counts {
+    fn add_assign(&mut self, other: Self) {
+        self.nodes += other.nodes;
+        self.boxes += other.boxes;
+        self.triangles += other.triangles;
+        self.instances += other.instances;
+        self.bytes += other.bytes;
+    }
+}
