@@ -172,10 +172,14 @@ pub(super) fn quantised(own: [Vec3; 2], slots: &[Option<[Vec3; 2]>; WIDTH]) -> W
         wide.exponents[3] |= 1 << slot;
         let [min, max] = child.map(Vec3::as_dvec3);
         for axis in 0..3 {
-            let step = step(grid.exponents[axis]);
-            let from = |plane: f64| (plane - grid.origin[axis]) / step;
-            wide.planes[axis][0][slot] = (from(min[axis]) - MARGIN).floor() as u8;
-            wide.planes[axis][1][slot] = (from(max[axis]) + MARGIN).ceil() as u8;
+            // A power of two: nothing is rounded.
+            let steps = step(grid.exponents[axis]).recip();
+            let from = |plane: f64| (plane - grid.origin[axis]) * steps;
+            // Rounded down and up without a call, which it is where the processor need not have an instruction for it.
+            let most = from(max[axis]) + MARGIN;
+            let below = most as u8;
+            wide.planes[axis][0][slot] = (from(min[axis]) - MARGIN) as u8;
+            wide.planes[axis][1][slot] = below + u8::from(f64::from(below) < most);
         }
     }
     wide
