@@ -2,10 +2,10 @@
 
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
-use glam::Vec3;
+use glam::{Vec3, Vec4, Vec4Swizzles};
 
 use super::sah::{MAX_DEPTH, SahParams};
-use super::tree::{BuildNode, BuildTree, Content};
+use super::tree::{BuildNode, BuildTree, Content, LaneBox};
 use crate::device::layout::{NONE, Node, PrimitiveRange};
 
 /// No inner node of a [`Blas`](super::Blas) has more children.
@@ -266,9 +266,21 @@ fn half_area(node: &BuildNode) -> f64 {
 /// flat box at coordinate 0, hence the share of the longest side; nor would a subnormal number, which a GPU may take for
 /// zero. A box inside another stays inside: every operation here is monotonic. The result is finite.
 pub(super) fn padded(min: Vec3, max: Vec3) -> (Vec3, Vec3) {
+    let padded = padded_lanes(LaneBox { min: min.extend(0.0), max: max.extend(0.0) });
+    (padded.min.xyz(), padded.max.xyz())
+}
+
+/// The same, four lanes at a time.
+#[inline]
+pub(super) fn padded_lanes(LaneBox { min, max }: LaneBox) -> LaneBox {
     const ULPS: f32 = 1.0 / (1 << 22) as f32;
+    // What is in the fourth lanes may be a subnormal number, which would slow the other lanes a hundredfold.
+    let (min, max) = (min.with_w(0.0), max.with_w(0.0));
     let half_side = (max * 0.5 - min * 0.5).max_element();
-    let margin = Vec3::splat(half_side * (2.0 * ULPS) + f32::MIN_POSITIVE);
-    let finite = Vec3::splat(f32::MAX);
-    ((min - (min.abs() * ULPS + margin)).max(-finite), (max + (max.abs() * ULPS + margin)).min(finite))
+    let margin = Vec4::splat(half_side * (2.0 * ULPS) + f32::MIN_POSITIVE);
+    let finite = Vec4::splat(f32::MAX);
+    LaneBox {
+        min: (min - (min.abs() * ULPS + margin)).max(-finite),
+        max: (max + (max.abs() * ULPS + margin)).min(finite),
+    }
 }

@@ -1,8 +1,8 @@
 //! Acceleration structures: bounding volume hierarchies as depth-first arrays with escape indices (paper, section 3).
 //!
 //! Two levels: a [`Blas`] over the triangles of each geometry, in local space, and one [`TopLevel`] over the instances,
-//! in device world space. The first is built once, for good (binned SAH); the second is kept up with what moves, and when it
-//! is rebuilt, that is done fast (clustering). In debug builds every result is [validated](Blas::validate).
+//! in device world space. The first is built for good (binned SAH), and refitted where its geometry
+//! deforms; the second is kept up with what moves, and when it is rebuilt, that is done fast (clustering). In debug builds every result is [validated](Blas::validate).
 //!
 //! Guarantees, for any finite input:
 //! - Every primitive is in exactly one leaf; each box contains, with a margin, what is below it, and is not flat.
@@ -16,6 +16,7 @@ mod clip;
 mod cluster;
 mod flatten;
 mod partition;
+mod refit;
 mod reinsert;
 mod sah;
 mod spatial;
@@ -25,9 +26,11 @@ mod top_level;
 mod tree;
 mod validate;
 mod wide;
+mod wide_refit;
 
 pub use blas::{Blas, BuildParams};
 pub use flatten::MAX_CHILDREN;
+pub(crate) use refit::{Refitted, refit};
 pub use sah::MAX_DEPTH;
 pub use stats::Stats;
 pub use support::Support;
