@@ -1,8 +1,8 @@
 //! The `cpu` executor: the kernel on all cores, a tile of pixels at a time.
 
+mod ask;
 mod lanes;
 mod packet;
-mod queries;
 mod rays;
 mod single;
 mod top;

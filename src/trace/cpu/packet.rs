@@ -9,9 +9,10 @@ use fearless_simd::{Simd, f32x8, f32x16};
 use glam::Vec3;
 
 use super::lanes::{Axes, cross, each, halves, load, pair, planes, step};
-use super::single::{Candidate, FIRST, Level, Stack, range};
+use super::single::{FIRST, Level, Stack, range};
 use crate::device::layout::{Instance, Ray, Triangle, WideNode};
 use crate::trace::kernel::{BOX_SLACK, KernelScene, LEAST_COMPONENT, LEAST_SHARE, reciprocal_power_of_two};
+use crate::trace::queries::Candidate;
 
 /// Rays of a packet.
 pub(super) const LANES: usize = 16;

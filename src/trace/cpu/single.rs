@@ -7,6 +7,7 @@ use glam::Vec3;
 use super::lanes::{Axes, corners, cross, each, halves, planes};
 use crate::device::layout::{Instance, Ray, Triangle, WideNode};
 use crate::trace::kernel::{BOX_SLACK, KernelScene, ShearRay, SlabRay, shear_ray, slab_ray};
+use crate::trace::queries::Candidate;
 
 /// A node whose children are being visited.
 #[derive(Clone, Copy)]
@@ -60,16 +61,6 @@ pub(super) struct LocalRay<S: Simd> {
     t_scale: f32x4<S>,
     depth_scale: f32x4<S>,
     t_min: f32,
-}
-
-/// A crossing of the ray and a triangle.
-pub(super) struct Candidate {
-    pub(super) t: f32,
-    pub(super) u: f32,
-    pub(super) v: f32,
-    pub(super) back: bool,
-    /// Index into `triangles`.
-    pub(super) triangle: u32,
 }
 
 impl<S: Simd> LocalRay<S> {
