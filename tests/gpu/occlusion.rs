@@ -54,7 +54,7 @@ fn an_applications_shader_sees_what_exact_queries_see() {
     }
     println!("{differ} of {} pixels differ, {shaded} are half open", expected.len());
     assert!(shaded > 100, "{shaded}");
-    assert!(differ * 100 <= expected.len(), "{differ} of {}", expected.len());
+    assert!(differ * 200 <= expected.len(), "{differ} of {}", expected.len());
 }
 
 /// As the shader does it.

@@ -35,19 +35,8 @@ fn deinterleaved<S: Simd>(v: [f32x16<S>; 8]) -> [f32x16<S>; 8] {
 }
 
 impl<S: Simd> Packet<S> {
-    /// At most sixteen rays; lanes without one meet nothing.
     #[inline(always)]
-    pub(super) fn new(simd: S, rays: &[Ray]) -> Self {
-        let padded;
-        let rays: &[Ray; LANES] = match rays.try_into() {
-            Ok(rays) => rays,
-            Err(_) => {
-                let last = rays[rays.len() - 1];
-                let nothing = Ray { t_max: f32::NEG_INFINITY, ..last };
-                padded = std::array::from_fn(|lane| rays.get(lane).copied().unwrap_or(nothing));
-                &padded
-            }
-        };
+    pub(super) fn new(simd: S, rays: &[Ray; LANES]) -> Self {
         // Three times the even elements and the odd ones: then each vector holds one number of all rays.
         let words: &[[f32; LANES]; 8] = bytemuck::cast_ref(rays);
         let v: [f32x16<S>; 8] = [

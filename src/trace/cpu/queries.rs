@@ -1,6 +1,5 @@
 //! The three queries of the kernel on SIMD walks.
 
-use bytemuck::{Pod, Zeroable};
 use fearless_simd::Simd;
 use glam::Vec3;
 
@@ -24,8 +23,7 @@ pub(super) trait Query: Copy {
 }
 
 /// See [`closest_hit`](crate::trace::kernel::closest_hit).
-#[repr(transparent)]
-#[derive(Clone, Copy, Pod, Zeroable)]
+#[derive(Clone, Copy)]
 pub(super) struct Closest(pub(super) Hit);
 
 impl Query for Closest {
@@ -132,50 +130,62 @@ pub(super) fn ask<S: Simd, Q: Query>(
     ray_mask: u32,
 ) -> Q {
     let mut query = Q::start(ray.t_max);
-    walk_top(
-        scene,
-        ray,
-        ray.t_max,
-        #[inline(always)]
-        |index| {
-            let instance = &scene.instances[index as usize];
-            if instance.mask & ray_mask != 0 {
-                let (first_node, local) = local_ray(simd, scene, instance, ray);
-                let t_max = query.t_max();
-                walk(
-                    simd,
-                    scene,
-                    first_node,
-                    instance.first_triangle,
-                    &local,
-                    stack,
-                    t_max,
-                    #[inline(always)]
-                    |candidate: &Candidate| {
-                        query.cross(scene, index, instance, candidate);
-                        query.t_max()
-                    },
-                );
-            }
-            query.t_max()
-        },
-    );
+    walk_top(scene, ray, ray.t_max, |index| {
+        if scene.instances[index as usize].mask & ray_mask != 0 {
+            ask_instance(simd, scene, stack, ray, index, &mut query);
+        }
+        query.t_max()
+    });
     query.finish();
     query
 }
 
-/// At most sixteen rays; one by one where they do not go much the same way.
+/// One ray and one instance. Never inlined: it is used in several places and compiled for several sets of instructions.
+#[inline(never)]
+fn ask_instance<S: Simd, Q: Query>(
+    simd: S,
+    scene: &KernelScene<'_>,
+    stack: &mut Stack,
+    ray: &Ray,
+    index: u32,
+    query: &mut Q,
+) {
+    simd.vectorize(
+        #[inline(always)]
+        || {
+            let instance = &scene.instances[index as usize];
+            let (first_node, local) = local_ray(simd, scene, instance, ray);
+            let t_max = query.t_max();
+            walk(
+                simd,
+                scene,
+                first_node,
+                instance.first_triangle,
+                &local,
+                stack,
+                t_max,
+                #[inline(always)]
+                |candidate: &Candidate| {
+                    query.cross(scene, index, instance, candidate);
+                    query.t_max()
+                },
+            );
+        },
+    );
+}
+
+/// Sixteen rays; one by one where they do not go much the same way.
 #[inline(always)]
 pub(super) fn ask_packet<S: Simd, Q: Query>(
     simd: S,
     scene: &KernelScene<'_>,
     stack: &mut Stack,
-    rays: &[Ray],
+    rays: &[Ray; LANES],
     ray_mask: u32,
-) -> [Q; LANES] {
+    queries: &mut [Q; LANES],
+) {
     let packet = Packet::new(simd, rays);
     let mut t_max: [f32; LANES] = packet.t_max.into();
-    let mut queries = [Q::start(0.0); LANES];
     for lane in 0..LANES {
         queries[lane] = Q::start(t_max[lane]);
     }
@@ -206,30 +216,14 @@ pub(super) fn ask_packet<S: Simd, Q: Query>(
                     },
                 );
             } else {
-                for (lane, ray) in rays.iter().enumerate() {
-                    let query = &mut queries[lane];
-                    let (first_node, local) = local_ray(simd, scene, instance, ray);
-                    walk(
-                        simd,
-                        scene,
-                        first_node,
-                        instance.first_triangle,
-                        &local,
-                        stack,
-                        t_max[lane],
-                        #[inline(always)]
-                        |candidate: &Candidate| {
-                            query.cross(scene, index, instance, candidate);
-                            query.t_max()
-                        },
-                    );
-                    t_max[lane] = query.t_max();
+                for lane in 0..LANES {
+                    ask_instance(simd, scene, stack, &rays[lane], index, &mut queries[lane]);
+                    t_max[lane] = queries[lane].t_max();
                 }
             }
         },
     );
-    for query in &mut queries {
+    for query in queries {
         query.finish();
     }
-    queries
 }

@@ -1,6 +1,6 @@
 //! The door to the SIMD code: rays of any kind, one at a time or sixteen, with the lanes that this processor has.
 
-use fearless_simd::{Level, dispatch};
+use fearless_simd::{Level, Simd};
 use glam::Vec3;
 
 use super::packet::LANES;
@@ -13,47 +13,101 @@ use crate::trace::kernel::{KernelScene, Traverse, any_hit, closest_hit, transmit
 /// What a task traces rays with.
 pub(super) struct Rays<'a> {
     scene: &'a KernelScene<'a>,
-    level: Level,
+    lanes: Option<Level>,
     stack: Stack,
+}
+
+/// Calls a function with the widest lanes of this processor. What is compiled is compiled once for each of these, which takes its time: so
+/// there are no more than users have.
+macro_rules! with_lanes {
+    ($level:expr, $simd:ident => $call:expr) => {
+        match $level {
+            #[cfg(target_arch = "x86_64")]
+            Level::Avx512($simd) => $simd.vectorize(
+                #[inline(always)]
+                || $call,
+            ),
+            #[cfg(target_arch = "x86_64")]
+            Level::Avx2($simd) => $simd.vectorize(
+                #[inline(always)]
+                || $call,
+            ),
+            #[cfg(target_arch = "aarch64")]
+            Level::Neon($simd) => $simd.vectorize(
+                #[inline(always)]
+                || $call,
+            ),
+            _ => unreachable!("`lanes` says which there are"),
+        }
+    };
+}
+
+/// The processor's lanes, if it has those that the walks are compiled for.
+fn lanes() -> Option<Level> {
+    let level = Level::new();
+    match level {
+        #[cfg(target_arch = "x86_64")]
+        Level::Avx512(_) | Level::Avx2(_) => Some(level),
+        #[cfg(target_arch = "aarch64")]
+        Level::Neon(_) => Some(level),
+        _ => None,
+    }
 }
 
 impl<'a> Rays<'a> {
     pub(super) fn new(scene: &'a KernelScene<'a>) -> Self {
-        Self { scene, level: Level::new(), stack: Stack::default() }
+        // Arrays made by hand may have no wide nodes: they are walked along escape indices, a ray at a time.
+        let lanes = if scene.layout == Layout::Wide { lanes() } else { None };
+        Self { scene, lanes, stack: Stack::default() }
     }
 
-    /// Of at most sixteen rays; best if they go much the same way.
-    pub(super) fn closest_hits(&mut self, rays: &[Ray], ray_mask: u32) -> [Hit; LANES] {
-        match self.scene.layout {
-            Layout::Wide => self.ask_packet::<Closest>(rays, ray_mask).map(|query| query.0),
-            Layout::Rope => each_ray(rays, Hit::MISS, |ray| closest_hit(self.scene, ray, ray_mask)),
+    /// Sixteen that follow one another best go much the same way.
+    pub(super) fn closest_hits(&mut self, rays: &[Ray], ray_mask: u32, hits: &mut [Hit]) {
+        match self.lanes {
+            Some(level) => self.ask_packets(level, rays, ray_mask, hits, |query: &Closest| query.0),
+            None => hits.iter_mut().zip(rays).for_each(|(hit, ray)| *hit = closest_hit(self.scene, ray, ray_mask)),
         }
     }
 
-    /// Of at most sixteen rays; best if they go much the same way.
-    pub(super) fn any_hits(&mut self, rays: &[Ray], ray_mask: u32) -> [bool; LANES] {
-        match self.scene.layout {
-            Layout::Wide => self.ask_packet::<Any>(rays, ray_mask).map(|query| query.is_hit),
-            Layout::Rope => each_ray(rays, false, |ray| any_hit(self.scene, ray, ray_mask)),
+    /// Sixteen that follow one another best go much the same way.
+    pub(super) fn any_hits(&mut self, rays: &[Ray], ray_mask: u32, hits: &mut [bool]) {
+        match self.lanes {
+            Some(level) => self.ask_packets(level, rays, ray_mask, hits, |query: &Any| query.is_hit),
+            None => hits.iter_mut().zip(rays).for_each(|(hit, ray)| *hit = any_hit(self.scene, ray, ray_mask)),
         }
     }
 
-    fn ask<Q: Query>(&mut self, ray: &Ray, ray_mask: u32) -> Q {
-        dispatch!(self.level, simd => ask(simd, self.scene, &mut self.stack, ray, ray_mask))
+    fn ask_packets<Q: Query, T>(
+        &mut self,
+        level: Level,
+        rays: &[Ray],
+        ray_mask: u32,
+        answers: &mut [T],
+        answer: impl Fn(&Q) -> T,
+    ) {
+        let mut queries = [Q::start(0.0); LANES];
+        for (rays, answers) in rays.chunks(LANES).zip(answers.chunks_mut(LANES)) {
+            let padded;
+            let rays: &[Ray; LANES] = match rays.try_into() {
+                Ok(rays) => rays,
+                Err(_) => {
+                    let nothing = Ray { t_max: f32::NEG_INFINITY, ..rays[0] };
+                    padded = std::array::from_fn(|lane| rays.get(lane).copied().unwrap_or(nothing));
+                    &padded
+                }
+            };
+            let (scene, stack) = (self.scene, &mut self.stack);
+            with_lanes!(level, simd => ask_packet(simd, scene, stack, rays, ray_mask, &mut queries));
+            for (target, query) in answers.iter_mut().zip(&queries) {
+                *target = answer(query);
+            }
+        }
     }
 
-    fn ask_packet<Q: Query>(&mut self, rays: &[Ray], ray_mask: u32) -> [Q; LANES] {
-        dispatch!(self.level, simd => ask_packet(simd, self.scene, &mut self.stack, rays, ray_mask))
+    fn ask<Q: Query>(&mut self, level: Level, ray: &Ray, ray_mask: u32) -> Q {
+        let (scene, stack) = (self.scene, &mut self.stack);
+        with_lanes!(level, simd => ask(simd, scene, stack, ray, ray_mask))
     }
-}
-
-/// Arrays made by hand may have no wide nodes: they are walked along escape indices.
-fn each_ray<T: Copy>(rays: &[Ray], nothing: T, trace: impl Fn(&Ray) -> T) -> [T; LANES] {
-    let mut results = [nothing; LANES];
-    for (result, ray) in results.iter_mut().zip(rays) {
-        *result = trace(ray);
-    }
-    results
 }
 
 impl<'a> Traverse<'a> for Rays<'a> {
@@ -62,16 +116,16 @@ impl<'a> Traverse<'a> for Rays<'a> {
     }
 
     fn closest_hit(&mut self, ray: &Ray, ray_mask: u32) -> Hit {
-        match self.scene.layout {
-            Layout::Wide => self.ask::<Closest>(ray, ray_mask).0,
-            Layout::Rope => closest_hit(self.scene, ray, ray_mask),
+        match self.lanes {
+            Some(level) => self.ask::<Closest>(level, ray, ray_mask).0,
+            None => closest_hit(self.scene, ray, ray_mask),
         }
     }
 
     fn transmittance(&mut self, ray: &Ray, ray_mask: u32) -> Vec3 {
-        match self.scene.layout {
-            Layout::Wide => self.ask::<Transmittance>(ray, ray_mask).light,
-            Layout::Rope => transmittance(self.scene, ray, ray_mask),
+        match self.lanes {
+            Some(level) => self.ask::<Transmittance>(level, ray, ray_mask).light,
+            None => transmittance(self.scene, ray, ray_mask),
         }
     }
 }
