@@ -57,8 +57,8 @@ pub use glam;
 pub use graph::{
     AlphaMode, Billboard, Camera, Change, Changes, Core, CoreKey, CoreSource, Cursor, Delta, Descend, EditQueue,
     EditSender, Filter, Geometry, GeometryKey, Hierarchy, Keep, Light, LightKind, Lod, LodMeasure, Material,
-    MaterialKey, NodeKey, NodePath, NodeState, Object, Pending, Placed, Recorder, Replay, Sampler, Scene,
-    SceneFileFault, SceneId, State, Switch, Texture, TextureKey, TextureRef, Transform, Visitor, Wrap,
+    MaterialKey, NodeKey, NodePath, NodeState, Object, Pending, Placed, Quality, Recorder, Replay, Sampler, Scene,
+    SceneFileFault, SceneId, State, Structure, Switch, Texture, TextureKey, TextureRef, Transform, Visitor, Wrap,
 };
 pub use math::{Aabb, Bounds};
 pub use query::{Hit, Queries, Ray, Region};

@@ -1,19 +1,25 @@
 //! The compiler: edit by edit equals from nothing, and each kind of edit costs what it should.
 
-#![expect(clippy::unwrap_used, reason = "a panic in a test is a failure")]
+#![expect(clippy::unwrap_used, clippy::panic, reason = "a panic in a test is a failure")]
 
 #[path = "support/canonical.rs"]
 mod canonical;
 #[path = "support/world.rs"]
 mod world;
 
+use std::cell::Cell;
+
 use canonical::Canonical;
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 use proptest::prelude::*;
+use proptest::test_runner::TestRunner;
 use ropewalk::accel::{Rebuild, Update};
 use ropewalk::compile::{Compiler, ImageHeight, Needs, Observer};
+use ropewalk::device::layout::{Hit, Ray};
+use ropewalk::device::{DeviceArrays, DeviceBuffer};
+use ropewalk::trace::{Emulated, Tracer};
 use ropewalk::{Core, GeometryKey, Material, NodeKey, Scene, Transform};
-use world::{Edit, World, edit, mesh};
+use world::{Edit, World, edit, edit_with_geometries, mesh};
 
 const EYE: DVec3 = DVec3::new(0.0, 0.0, 10.0);
 
@@ -36,7 +42,8 @@ proptest! {
                 let mut fresh = Compiler::new();
                 let fresh_report = fresh.compile(&mut world.scene, observer).unwrap();
                 world.scene.validate().unwrap();
-                prop_assert_eq!(Canonical::of(compiler.arrays()).difference(&Canonical::of(fresh.arrays())), None);
+                let exact = Canonical::exactly(compiler.arrays());
+                prop_assert_eq!(exact.difference(&Canonical::exactly(fresh.arrays())), None);
                 prop_assert_eq!(report.needs, fresh_report.needs);
                 prop_assert_eq!(report.instances, fresh_report.instances);
                 prop_assert_eq!(report.singular_instances, fresh_report.singular_instances);
@@ -55,6 +62,111 @@ proptest! {
     }
 }
 
+/// Geometries that change may have other structures than ones built now. But they hold the same, and rays find it.
+#[test]
+fn random_deformations_show_what_is_compiled_from_nothing() {
+    let (refitted, built) = (Cell::new(0), Cell::new([0; 3]));
+    let (hits, same) = (Cell::new(0), Cell::new(0));
+    let config = ProptestConfig { cases: 256, failure_persistence: None, ..ProptestConfig::default() };
+    let strategy = (prop::collection::vec(edit_with_geometries(), 1..60), 1usize..6);
+    let outcome = TestRunner::new(config).run(&strategy, |(edits, every)| {
+        let mut world = World::new();
+        world.populate();
+        let (mut compiler, mut copies) = (Compiler::new(), Copies::default());
+        for (i, edit) in edits.iter().enumerate() {
+            world.apply(edit);
+            if i % every == 0 || i + 1 == edits.len() {
+                let report = compiler.compile(&mut world.scene, EYE).unwrap();
+                prop_assert_eq!(copies.catch_up(compiler.arrays_mut()), None);
+                let mut fresh = Compiler::new();
+                let fresh_report = fresh.compile(&mut world.scene, EYE).unwrap();
+                prop_assert_eq!(Canonical::of(compiler.arrays()).difference(&Canonical::of(fresh.arrays())), None);
+                prop_assert_eq!((report.needs, report.triangles), (fresh_report.needs, fresh_report.triangles));
+                let rays = rays_at(fresh.arrays());
+                let [ours, theirs] = [&mut compiler, &mut fresh].map(|c| hits_in(c.arrays_mut(), &rays));
+                prop_assert_eq!(ours.0, theirs.0);
+                // Instances of the same at the same place are equally far, and it is their order that decides.
+                same.set(same.get() + ours.1.iter().zip(&theirs.1).filter(|(a, b)| a.is_some() && a == b).count());
+                hits.set(hits.get() + ours.1.iter().flatten().count());
+                refitted.set(refitted.get() + report.blas_refitted);
+                let builds = report.blas_builds;
+                let reasons = [builds.other_triangles, builds.decayed, builds.chosen];
+                prop_assert_eq!(builds.new + reasons.iter().sum::<usize>(), report.blas_built);
+                built.set([0, 1, 2].map(|i| built.get()[i] + reasons[i]));
+            }
+        }
+        Ok(())
+    });
+    outcome.unwrap_or_else(|failure| panic!("{failure}"));
+    println!(
+        "{refitted:?} refitted, {built:?} built for other triangles, decay, choice; {hits:?} hits, {same:?} the same"
+    );
+    assert!(hits.get() > 10_000 && same.get() * 10 > hits.get() * 9);
+    assert!(refitted.get() > 1000 && built.get().iter().all(|&count| count > 3));
+}
+
+/// What an executor has that copies what is marked as changed, and nothing else.
+#[derive(Default)]
+struct Copies {
+    nodes: Vec<u8>,
+    wide_nodes: Vec<u8>,
+    triangles: Vec<u8>,
+    normals: Vec<u8>,
+    geometries: Vec<u8>,
+}
+
+impl Copies {
+    /// The name of an array that is not what the executor has.
+    fn catch_up(&mut self, arrays: &mut DeviceArrays) -> Option<&'static str> {
+        fn is_equal<T: bytemuck::Pod>(copy: &mut Vec<u8>, array: &mut DeviceBuffer<T>) -> bool {
+            copy.resize(size_of_val::<[T]>(array), 0xff);
+            for range in array.take_dirty() {
+                let bytes = range.start * size_of::<T>()..range.end * size_of::<T>();
+                copy[bytes].copy_from_slice(bytemuck::cast_slice(&array[range]));
+            }
+            *copy == bytemuck::cast_slice::<T, u8>(array)
+        }
+        [
+            ("nodes", is_equal(&mut self.nodes, &mut arrays.blas_nodes)),
+            ("wide nodes", is_equal(&mut self.wide_nodes, &mut arrays.wide_nodes)),
+            ("triangles", is_equal(&mut self.triangles, &mut arrays.triangles)),
+            ("normals", is_equal(&mut self.normals, &mut arrays.normals)),
+            ("geometries", is_equal(&mut self.geometries, &mut arrays.geometries)),
+        ]
+        .into_iter()
+        .find_map(|(name, is_equal)| (!is_equal).then_some(name))
+    }
+}
+
+/// At points in the boxes of instances, from near and far.
+fn rays_at(arrays: &DeviceArrays) -> Vec<Ray> {
+    let mut state = 1u32;
+    let mut random = || {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (state >> 8) as f32 / (1 << 24) as f32
+    };
+    let leaves = arrays.tlas_nodes.iter().filter(|node| node.primitives.count() > 0);
+    let boxes: Vec<_> = leaves.map(|leaf| (Vec3::from(leaf.min), Vec3::from(leaf.max))).collect();
+    let mut ray = |i: usize| {
+        let (min, max) = boxes[i % boxes.len()];
+        let target = min + (max - min) * Vec3::new(random(), random(), random());
+        let direction = Vec3::new(random(), random(), random()) - 0.5;
+        let origin = target - direction * [1.0, 30.0][i % 2];
+        Ray { origin: origin.to_array(), t_min: 0.0, direction: direction.to_array(), t_max: f32::MAX }
+    };
+    let count = if boxes.is_empty() { 0 } else { 50 };
+    (0..count).map(&mut ray).collect()
+}
+
+/// How far each ray gets, and the node and the triangle that it hits.
+fn hits_in(arrays: &mut DeviceArrays, rays: &[Ray]) -> (Vec<u32>, Vec<Option<[u32; 2]>>) {
+    let mut tracer = Emulated::default();
+    tracer.upload(arrays).unwrap();
+    let hits = tracer.closest_hits(arrays, rays, u32::MAX).unwrap();
+    let told = |hit: &Hit| Some([arrays.instances.get(hit.instance as usize)?.node[0], hit.primitive]);
+    (hits.iter().map(|hit| hit.t.to_bits()).collect(), hits.iter().map(told).collect())
+}
+
 #[test]
 fn canonical_form_sees_each_field() {
     // A planted difference in each array must show.
@@ -62,27 +174,30 @@ fn canonical_form_sees_each_field() {
     world.populate();
     let mut compiler = Compiler::new();
     compiler.compile(&mut world.scene, EYE).unwrap();
-    let before = Canonical::of(compiler.arrays());
-    assert!(before.instance_count() > 1);
+    let before = [Canonical::of(compiler.arrays()), Canonical::exactly(compiler.arrays())];
+    assert!(before[0].instance_count() > 1);
 
     macro_rules! plant {
         ($array:ident, $change:expr) => {{
+            plant!($array, $change, [true, true]);
+        }};
+        ($array:ident, $change:expr, $seen:expr) => {{
             let original = compiler.arrays().$array.to_vec();
             let mut changed = original.clone();
             edit_with(&mut changed, $change);
             assert!(changed != original, "{} was not changed", stringify!($array));
             compiler.arrays_mut().$array.write(0, &changed);
-            assert!(
-                Canonical::of(compiler.arrays()).difference(&before).is_some(),
-                "{} is not compared",
-                stringify!($array)
-            );
+            let loose = Canonical::of(compiler.arrays()).difference(&before[0]);
+            let exact = Canonical::exactly(compiler.arrays()).difference(&before[1]);
+            assert_eq!([loose.is_some(), exact.is_some()], $seen, "{}: {loose:?}, {exact:?}", stringify!($array));
             compiler.arrays_mut().$array.write(0, &original);
         }};
     }
     plant!(tlas_nodes, |nodes| nodes.iter_mut().for_each(|n| n.min[0] -= 1.0));
     plant!(instances, |instances| instances.iter_mut().for_each(|i| i.mask ^= 1));
-    plant!(blas_nodes, |nodes| nodes.iter_mut().for_each(|n| n.max[2] += 1.0));
+    plant!(blas_nodes, |nodes| nodes.iter_mut().for_each(|n| n.max[2] += 1.0), [false, true]);
+    plant!(blas_nodes, |nodes| nodes.iter_mut().for_each(|n| n.max[2] *= 0.999));
+    plant!(wide_nodes, |nodes| nodes.iter_mut().for_each(|n| n.planes[1][1] = [0; 8]));
     plant!(triangles, |triangles| triangles.iter_mut().for_each(|t| t.v1[0] += 1.0));
     plant!(indices, |indices| indices.iter_mut().for_each(|i| *i = 0));
     plant!(normals, |normals| normals.iter_mut().for_each(|n| *n += 1.0));
@@ -92,7 +207,7 @@ fn canonical_form_sees_each_field() {
     plant!(texture_infos, |infos| infos.iter_mut().for_each(|i| i.flags ^= 1));
     plant!(texels, |texels| texels.iter_mut().for_each(|t| *t ^= 1));
     plant!(lights, |lights| lights[0].color[1] += 1.0);
-    assert_eq!(Canonical::of(compiler.arrays()).difference(&before), None);
+    assert_eq!(Canonical::of(compiler.arrays()).difference(&before[0]), None);
 }
 
 #[test]

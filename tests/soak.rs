@@ -14,7 +14,7 @@ use proptest::strategy::{Strategy, ValueTree};
 use proptest::test_runner::TestRunner;
 use ropewalk::compile::Compiler;
 use ropewalk::{Cursor, Scene};
-use world::{World, edit};
+use world::{World, edit_with_geometries};
 
 /// Counts the bytes that are allocated.
 #[global_allocator]
@@ -29,7 +29,7 @@ const EYE: DVec3 = DVec3::new(0.0, 0.0, 10.0);
 #[test]
 fn a_million_edits_leave_nothing_behind() {
     let mut runner = TestRunner::default();
-    let edits = edit();
+    let edits = edit_with_geometries();
     let start = HEAP.current_usage();
     let mut world = World::new();
     world.populate();

@@ -54,11 +54,16 @@ fn is_closer(t: f32, instance: u32, primitive: u32, hit: Hit) -> bool {
 // How much light gets through between t_min and t_max.
 fn transmittance(ray: Ray, ray_mask: u32) -> vec3<f32> {
     var light = vec3<f32>(1.0);
+    var has_layers = false;
     var t = traversal(ray, ray_mask, false);
     loop {
         let leaf = next_leaf(&t, ray.t_max);
         if leaf == 0u {
             break;
+        }
+        if is_layered(t.flags) {
+            has_layers = true;
+            continue;
         }
         let first = t.first_triangle + leaf_first(leaf);
         let end = first + leaf_count(leaf);
@@ -66,14 +71,70 @@ fn transmittance(ray: Ray, ray_mask: u32) -> vec3<f32> {
             let triangle = triangle_at(i);
             let crossing = cross_triangle(t.shear, triangle);
             if crossing.is_hit && crossing.t >= ray.t_min && crossing.t <= ray.t_max {
-                light *= passes_crossing(t.instance, t.flags, triangle, crossing);
+                light *= passes_crossing(t.instance, t.flags, triangle, crossing.u, crossing.v);
                 if max_component(light) <= 0.0 {
                     return vec3<f32>(0.0);
                 }
             }
         }
     }
+    if has_layers {
+        var layer = Hit(-1.0, 0.0, 0.0, NONE, NONE, NONE, 0u, 0u);
+        loop {
+            layer = next_layer(ray, ray_mask, layer);
+            if layer.instance == NONE {
+                break;
+            }
+            let flags = instances[layer.instance].flags;
+            light *= passes_crossing(layer.instance, flags, triangle_at(layer.triangle), layer.u, layer.v);
+            if max_component(light) <= 0.0 {
+                return vec3<f32>(0.0);
+            }
+        }
+    }
     return light;
+}
+
+// Whether what is crossed is to be taken layer by layer: it may be met more than once, but counts once.
+fn is_layered(flags: u32) -> bool {
+    let layered = INSTANCE_TRANSLUCENT | INSTANCE_REPEATS;
+    return (NEEDS_ALPHA_MASK || NEEDS_BLEND || NEEDS_REFRACTION) && (flags & layered) == layered;
+}
+
+// The first crossing of a layered instance after `last`, in the order of t, instance and primitive.
+fn next_layer(ray: Ray, ray_mask: u32, last: Hit) -> Hit {
+    var hit = Hit(ray.t_max, 0.0, 0.0, NONE, NONE, NONE, 0u, 0u);
+    var rest = ray;
+    rest.t_min = max(ray.t_min, last.t);
+    var t = traversal(rest, ray_mask, true);
+    loop {
+        let leaf = next_leaf(&t, hit.t);
+        if leaf == 0u {
+            break;
+        }
+        if !is_layered(t.flags) {
+            continue;
+        }
+        let first = t.first_triangle + leaf_first(leaf);
+        let end = first + leaf_count(leaf);
+        for (var i = first; i < end; i++) {
+            let triangle = triangle_at(i);
+            let crossing = cross_triangle(t.shear, triangle);
+            let is_met = crossing.is_hit && crossing.t >= ray.t_min;
+            if is_met && is_farther(crossing.t, t.instance, triangle.primitive, last)
+                && is_closer(crossing.t, t.instance, triangle.primitive, hit) {
+                hit = Hit(crossing.t, crossing.u, crossing.v, t.instance, triangle.primitive, i, 0u, 0u);
+            }
+        }
+    }
+    return hit;
+}
+
+fn is_farther(t: f32, instance: u32, primitive: u32, hit: Hit) -> bool {
+    if t != hit.t {
+        return t > hit.t;
+    }
+    return instance > hit.instance || (instance == hit.instance && primitive > hit.primitive);
 }
 
 // Whether anything that lets no light through lies between t_min and t_max.
@@ -90,7 +151,7 @@ fn any_hit(ray: Ray, ray_mask: u32) -> bool {
             let triangle = triangle_at(i);
             let crossing = cross_triangle(t.shear, triangle);
             if crossing.is_hit && crossing.t >= ray.t_min && crossing.t <= ray.t_max {
-                if max_component(passes_crossing(t.instance, t.flags, triangle, crossing)) <= 0.0 {
+                if max_component(passes_crossing(t.instance, t.flags, triangle, crossing.u, crossing.v)) <= 0.0 {
                     return true;
                 }
             }
@@ -99,9 +160,9 @@ fn any_hit(ray: Ray, ray_mask: u32) -> bool {
     return false;
 }
 
-fn passes_crossing(instance: u32, flags: u32, triangle: Triangle, crossing: Crossing) -> vec3<f32> {
+fn passes_crossing(instance: u32, flags: u32, triangle: Triangle, u: f32, v: f32) -> vec3<f32> {
     if (NEEDS_ALPHA_MASK || NEEDS_BLEND || NEEDS_REFRACTION) && (flags & INSTANCE_TRANSLUCENT) != 0u {
-        return passes(instances[instance], triangle, crossing.u, crossing.v);
+        return passes(instances[instance], triangle, u, v);
     }
     return vec3<f32>(0.0);
 }

@@ -43,6 +43,7 @@ const INSTANCE_CULL_BACK: u32 = 1u;
 const INSTANCE_ALPHA_MASK: u32 = 2u;
 const INSTANCE_TRANSLUCENT: u32 = 4u;
 const INSTANCE_THIN: u32 = 8u;
+const INSTANCE_REPEATS: u32 = 16u;
 
 struct Streams {
     first_index: u32,

@@ -3,15 +3,18 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::flatten::flatten;
-use super::sah::{self, SahParams};
+use super::agglomerate;
+use super::flatten::{Flat, flatten};
+use super::refit::refit;
+use super::reinsert::{Effort, reinsert};
+use super::sah::{self, Cuts, SahParams};
 use super::stats::Stats;
 use super::tree::{Extent, Reference, TASK_MINIMUM};
 use super::validate::{StructureError, check_nodes};
 use super::wide::collapse;
 use crate::Result;
 use crate::device::layout::{Node, PrimitiveRange, Triangle, WideNode};
-use crate::graph::Geometry;
+use crate::graph::{Geometry, Quality, Structure};
 use crate::math::Aabb;
 
 /// A bottom-level structure: arrays that are copied to the device as they are, at any offset.
@@ -25,12 +28,17 @@ pub struct Blas {
     pub triangles: Vec<Triangle>,
     /// The box around `triangles`, local space, not padded; empty without any.
     pub bounds: Aabb,
+    /// Whether some triangle is in several leaves, each with a box around a part of it. It is in `triangles` as often: whoever
+    /// counts what a ray crosses must see to it that it counts once.
+    pub repeats: bool,
     triangle_cost: f32,
 }
 
 /// How a [`Blas`] is built.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BuildParams {
+    /// What is built, and by which builder.
+    pub structure: Structure,
     /// The most triangles in a leaf, 1 to 15 (clamped).
     pub max_leaf_size: u32,
     /// Cost of testing a triangle, in units of fetching a node and testing its box. Dearer triangles make smaller leaves:
@@ -40,19 +48,30 @@ pub struct BuildParams {
 
 impl BuildParams {
     /// One triangle a leaf, as in the paper.
-    pub const PAPER: Self = Self { max_leaf_size: 1, triangle_cost: 1.5 };
+    pub const PAPER: Self = Self { structure: Structure::Bvh(Quality::Balanced), max_leaf_size: 1, triangle_cost: 1.5 };
+
+    /// By default, but this structure.
+    pub fn new(structure: Structure) -> Self {
+        Self { structure, ..Self::default() }
+    }
 }
 
 impl Default for BuildParams {
     /// As many triangles a leaf as the heuristic likes.
     fn default() -> Self {
-        Self { max_leaf_size: PrimitiveRange::MAX_COUNT, triangle_cost: 1.5 }
+        Self { structure: Structure::default(), max_leaf_size: PrimitiveRange::MAX_COUNT, triangle_cost: 1.5 }
     }
 }
 
 impl Blas {
-    /// Builds the hierarchy, on all threads of the current rayon pool. O(n log n); temporary memory about 140 bytes a
-    /// triangle.
+    /// Builds the structure, on all threads of the current rayon pool. O(n log n); temporary memory about 140 bytes a
+    /// triangle, up to 280 for a kd-tree.
+    ///
+    /// [`Quality::Fast`] merges neighbours along a space-filling curve. [`Quality::Balanced`] divides triangles by the surface area
+    /// heuristic, from the top down. [`Quality::Best`] cuts space, too, where boxes overlap, with up to 30 % more triangles in the
+    /// leaves, then moves subtrees to where they are better. [`Structure::KdTree`] cuts space as long as leaves then have no more
+    /// than twice the triangles, and divides them where that is used up: the planes are the heuristic's, nodes are cells cut
+    /// down to what is in them.
     ///
     /// Triangles with two equal corners are left out: no ray hits them. Other triangles without area stay in, and it is the
     /// triangle test that misses them.
@@ -72,49 +91,122 @@ impl Blas {
     fn build_here(geometry: &Geometry, params: &BuildParams) -> Result<Self> {
         // 1. Boxes.
         let (references, extent) = references(geometry)?;
-        // 2. Build tree.
+        let count = references.len();
+        // 2. Build tree, and from that device arrays.
         let sah_params = SahParams {
             max_leaf_size: params.max_leaf_size.clamp(1, PrimitiveRange::MAX_COUNT) as usize,
             primitive_cost: params.triangle_cost,
         };
-        let tree = sah::build(references, &extent, &sah_params);
-        // 3. Device arrays.
-        let (nodes, order) = flatten(&tree);
-        let triangles = order.par_iter().with_min_len(CHUNK).map(|&p| triangle(geometry, p)).collect();
-        let wide_nodes = collapse(&nodes);
-        let blas = Self { nodes, wide_nodes, triangles, bounds: extent.aabb(), triangle_cost: params.triangle_cost };
+        let flat = build_flat(geometry, references, &extent, params.structure, &sah_params).unwrap_or_default();
+        let triangles = flat.order.par_iter().with_min_len(CHUNK).map(|&p| triangle(geometry, p)).collect();
+        let wide_nodes = collapse(&flat.binary);
+        let (bounds, repeats) = (extent.aabb(), flat.order.len() > count);
+        let blas =
+            Self { nodes: flat.nodes, wide_nodes, triangles, bounds, repeats, triangle_cost: params.triangle_cost };
         debug_assert_eq!(blas.validate(), Ok(()));
         Ok(blas)
     }
 
-    /// Checks what traversal relies on: escape order, containment, every triangle in exactly one leaf and there once. O(n).
+    /// Puts the triangles where those of `geometry` are now: the same ones, with their corners elsewhere. The nodes get new boxes
+    /// and stay where they are. O(n), on all threads of the current rayon pool; a tenth of the time of a build or less.
+    ///
+    /// Whether it could: not where triangles got or lost two equal corners, nor where the structure has some triangles more
+    /// than once, as [`Quality::Best`] and [`Structure::KdTree`] do (their leaves hold clipped triangles, and with whole ones they
+    /// would be worse than a new structure). It must then be built anew: what it holds is unspecified.
+    ///
+    /// The more the geometry deforms, the worse the structure: compare [`stats`](Self::stats) with those when it was built.
+    #[must_use]
+    pub fn refit(&mut self, geometry: &Geometry) -> bool {
+        let refitted = refit(&mut self.nodes, &mut self.wide_nodes, &mut self.triangles, geometry, self.triangle_cost);
+        if let Some(refitted) = &refitted {
+            self.bounds = refitted.bounds;
+            debug_assert_eq!(self.validate(), Ok(()));
+        }
+        refitted.is_some()
+    }
+
+    /// Checks what traversal relies on: escape order, containment, no triangle twice in a leaf, and none in several if nothing
+    /// [repeats](Self::repeats); of one that is in several, that some points of it are in their boxes. O(n log n).
     ///
     /// # Errors
     /// The first [`StructureError`] found.
     pub fn validate(&self) -> Result<(), StructureError> {
+        let copies = self.copies();
+        let is_whole = |triangle: &&Triangle| copies.binary_search(&triangle.primitive).is_err();
+        // 1. Nodes, and the triangles that are in one leaf.
         let mut next_triangle = 0;
         check_nodes(&self.nodes, |range| {
             let first = range.first() as usize;
             let triangles = self.triangles.get(first..first + range.count() as usize)?;
             let in_order = first == next_triangle;
             next_triangle += triangles.len();
-            in_order.then(|| Aabb::from_points(triangles.iter().flat_map(corners)))
+            in_order.then(|| Aabb::from_points(triangles.iter().filter(is_whole).flat_map(corners)))
         })?;
-        let mut primitives: Vec<u32> = self.triangles.iter().map(|t| t.primitive).collect();
-        primitives.sort_unstable();
-        if let Some(pair) = primitives.windows(2).find(|pair| pair[0] == pair[1]) {
-            return Err(StructureError::Repeated { primitive: pair[0] });
+        // 2. The triangles that are in several.
+        if let Some(&primitive) = copies.first().filter(|_| !self.repeats) {
+            return Err(StructureError::Repeated { primitive });
         }
-        let missing = self.triangles.get(next_triangle);
-        missing.map_or(Ok(()), |triangle| Err(StructureError::Missing { primitive: triangle.primitive }))
+        if let Some(triangle) = self.triangles.get(next_triangle) {
+            return Err(StructureError::Missing { primitive: triangle.primitive });
+        }
+        let mut parts: Vec<(&Triangle, &Node)> = Vec::new();
+        for node in self.nodes.iter().filter(|node| node.primitives != PrimitiveRange::INNER) {
+            let triangles = &self.triangles[node.primitives.first() as usize..][..node.primitives.count() as usize];
+            parts.extend(triangles.iter().filter(|triangle| !is_whole(triangle)).map(|triangle| (triangle, node)));
+        }
+        parts.sort_by_key(|(triangle, _)| triangle.primitive);
+        parts.chunk_by(|(a, _), (b, _)| a.primitive == b.primitive).try_for_each(check_parts)
     }
 
-    /// Sizes and quality. O(n).
+    /// Sizes and quality. O(n), and a sort where triangles [repeat](Self::repeats).
     pub fn stats(&self) -> Stats {
         let bytes = size_of_val(&*self.nodes) + size_of_val(&*self.wide_nodes) + size_of_val(&*self.triangles);
-        Stats { bytes, ..Stats::of(&self.nodes, self.triangle_cost) }
+        let duplicate_count = if self.repeats { self.copies().len() } else { 0 };
+        Stats { bytes, duplicate_count, ..Stats::of(&self.nodes, self.triangle_cost) }
+    }
+
+    /// The primitives of all triangles but the first of each primitive, ascending.
+    fn copies(&self) -> Vec<u32> {
+        let mut primitives: Vec<u32> = self.triangles.iter().map(|t| t.primitive).collect();
+        primitives.sort_unstable();
+        primitives.windows(2).filter(|pair| pair[0] == pair[1]).map(|pair| pair[0]).collect()
     }
 }
+
+/// By the builder for a structure. No tree of the builder from the top down is too deep to be flattened.
+fn build_flat(
+    geometry: &Geometry,
+    references: Vec<Reference>,
+    extent: &Extent,
+    structure: Structure,
+    params: &SahParams,
+) -> Option<Flat> {
+    let count = references.len();
+    let cuts = match structure {
+        Structure::Bvh(Quality::Fast) => {
+            let flat = flatten(&agglomerate::build(&references), params);
+            if flat.is_some() {
+                return flat;
+            }
+            None
+        }
+        Structure::Bvh(Quality::Balanced) => None,
+        Structure::Bvh(Quality::Best) => Cuts::new(geometry, extent, count, BEST_ROOM, false),
+        Structure::KdTree => Cuts::new(geometry, extent, count, KD_TREE_ROOM, true),
+    };
+    let mut tree = sah::build(references, extent, params, cuts);
+    if structure == Structure::Bvh(Quality::Best) {
+        reinsert(&mut tree, BEST_EFFORT);
+    }
+    flatten(&tree, params)
+}
+
+/// How many triangles there may be more in the leaves than in the geometry, for each there: more of them make the hierarchy hardly
+/// better (docs/BENCHMARKS.md).
+const BEST_ROOM: f32 = 0.3;
+/// The same of a kd-tree, where more make it worse.
+const KD_TREE_ROOM: f32 = 1.0;
+const BEST_EFFORT: Effort = Effort { rounds: 4, share: 0.1 };
 
 /// Triangles that one thread takes at a time.
 const CHUNK: usize = 1 << 13;
@@ -181,6 +273,23 @@ fn measure(geometry: &Geometry, first: usize, references: &mut [Reference]) -> M
 fn triangle(geometry: &Geometry, primitive: u32) -> Triangle {
     let [v0, v1, v2] = geometry.indices[primitive as usize].map(|v| geometry.positions[v as usize].to_array());
     Triangle { v0, primitive, v1, _pad0: 0, v2, _pad1: 0 }
+}
+
+/// The leaves of one triangle: all different, and around its corners and its middles.
+fn check_parts(parts: &[(&Triangle, &Node)]) -> Result<(), StructureError> {
+    let Some(&(triangle, _)) = parts.first() else { return Ok(()) };
+    let primitive = triangle.primitive;
+    if parts.windows(2).any(|pair| std::ptr::eq(pair[0].1, pair[1].1)) {
+        return Err(StructureError::Repeated { primitive });
+    }
+    let [a, b, c] = corners(triangle);
+    let points = [a, b, c, a.midpoint(b), b.midpoint(c), c.midpoint(a), (a / 3.0 + b / 3.0) + c / 3.0];
+    let is_covered = |point: &Vec3| {
+        let contains =
+            |node: &Node| Vec3::from(node.min).cmple(*point).all() && Vec3::from(node.max).cmpge(*point).all();
+        parts.iter().any(|(_, node)| contains(node))
+    };
+    if points.iter().all(is_covered) { Ok(()) } else { Err(StructureError::Missing { primitive }) }
 }
 
 fn corners(triangle: &Triangle) -> [Vec3; 3] {

@@ -1,26 +1,36 @@
 //! Acceleration structures: bounding volume hierarchies as depth-first arrays with escape indices (paper, section 3).
 //!
 //! Two levels: a [`Blas`] over the triangles of each geometry, in local space, and one [`TopLevel`] over the instances,
-//! in device world space. The first is built once, for good (binned SAH); the second is kept up with what moves, and when it
-//! is rebuilt, that is done fast (clustering). In debug builds every result is [validated](Blas::validate).
+//! in device world space. The first is built for good (binned SAH), and refitted where its geometry
+//! deforms; the second is kept up with what moves, and when it is rebuilt, that is done fast (clustering). In debug builds every result is [validated](Blas::validate).
 //!
 //! Guarantees, for any finite input:
 //! - Every primitive is in exactly one leaf; each box contains, with a margin, what is below it, and is not flat.
 //! - No hierarchy is deeper than [`MAX_DEPTH`].
 //! - The same input gives the same arrays, whatever the number of threads.
 
+mod agglomerate;
 mod bins;
 mod blas;
+mod clip;
+mod cluster;
 mod flatten;
+mod partition;
+mod refit;
+mod reinsert;
 mod sah;
+mod spatial;
 mod stats;
 mod support;
 mod top_level;
 mod tree;
 mod validate;
 mod wide;
+mod wide_refit;
 
 pub use blas::{Blas, BuildParams};
+pub use flatten::MAX_CHILDREN;
+pub(crate) use refit::{Refitted, refit};
 pub use sah::MAX_DEPTH;
 pub use stats::Stats;
 pub use support::Support;

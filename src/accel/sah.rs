@@ -1,16 +1,18 @@
-//! The default builder: top-down, binned SAH, in parallel over subtrees and, near the root, within a node.
+//! The builder from the top down: binned SAH, in parallel over subtrees and, near the root, within a node.
 //!
-//! The result depends on the input alone, not on the number of threads: boxes are unions (exact in any order), and
-//! partitioning is stable.
+//! It divides primitives, or cuts space, or does what of both is better, see [`Cuts`]. The result depends on the input alone, not
+//! on the number of threads: boxes are unions (exact in any order), partitioning is stable, and each subtree has its own share of
+//! the room for primitives that are cut.
 
-use glam::Vec4;
-use rayon::prelude::*;
+use super::bins::{Binning, Bins, PARALLEL_MINIMUM, Split};
+use super::clip::can_cut;
+use super::partition::{partition, partition_chunks};
+use super::spatial::{self, SpatialSplit};
+use super::tree::{BuildNode, BuildTree, Extent, Reference, TASK_MINIMUM, slots_below, unit_scale};
+use crate::device::layout::PrimitiveRange;
+use crate::graph::Geometry;
 
-use super::bins::{Binning, Bins, CHUNK, PARALLEL_MINIMUM, Split};
-use super::tree::{BuildNode, BuildTree, Extent, LaneBox, Reference, TASK_MINIMUM, right_child, slot_count};
-
-/// No hierarchy has more levels than this: nodes below level 64 are halved by count, and 2^28 primitives can be halved 28
-/// times.
+/// No hierarchy has more levels than this: nodes below level 64 are halved by count, and 2^28 primitives can be halved 28 times.
 pub const MAX_DEPTH: usize = (MAX_SAH_DEPTH + 29) as usize;
 
 const MAX_SAH_DEPTH: u32 = 64;
@@ -23,212 +25,289 @@ pub(super) struct SahParams {
     pub(super) primitive_cost: f32,
 }
 
-/// Builds a tree over references, `extent` being theirs. O(n log n).
-pub(super) fn build(mut references: Vec<Reference>, extent: &Extent, params: &SahParams) -> BuildTree {
-    let mut nodes: Vec<BuildNode> = bytemuck::zeroed_vec(slot_count(references.len()));
-    let mut order: Vec<u32> = bytemuck::zeroed_vec(references.len());
-    if !references.is_empty() {
-        let mut spare: Vec<Reference> = bytemuck::zeroed_vec(references.len());
-        let root = Task { references: &mut references, spare: &mut spare, order: &mut order, extent, depth: 0 };
-        root.run(&mut nodes, &mut Worker::new(params));
+/// How space is cut.
+#[derive(Clone, Copy)]
+pub(super) struct Cuts<'a> {
+    /// What the references are triangles of.
+    pub(super) geometry: &'a Geometry,
+    /// How many references there may be more in the end, because of triangles on both sides of a plane.
+    pub(super) room: usize,
+    /// Whether primitives are only divided where space cannot be cut: the tree is then a kd-tree.
+    pub(super) only: bool,
+}
+
+impl<'a> Cuts<'a> {
+    /// `room` is for each of `count` references. `None` where no plane can be relied on: near the limits of f32.
+    pub(super) fn new(geometry: &'a Geometry, extent: &Extent, count: usize, room: f32, only: bool) -> Option<Self> {
+        let most = PrimitiveRange::MAX_FIRST as usize - count;
+        let room = ((count as f32 * room) as usize).min(most);
+        can_cut(&extent.aabb()).then_some(Self { geometry, room, only })
     }
-    BuildTree { nodes, order }
+}
+
+/// Builds a tree over references, `extent` being theirs. O(n log n).
+pub(super) fn build(
+    mut references: Vec<Reference>,
+    extent: &Extent,
+    params: &SahParams,
+    cuts: Option<Cuts<'_>>,
+) -> BuildTree {
+    let count = references.len();
+    if count == 0 {
+        return BuildTree::default();
+    }
+    let capacity = count + cuts.map_or(0, |cuts| cuts.room);
+    references.resize(capacity, bytemuck::Zeroable::zeroed());
+    let mut nodes: Vec<BuildNode> = bytemuck::zeroed_vec(1 + slots_below(capacity));
+    let mut order: Vec<u32> = bytemuck::zeroed_vec(capacity);
+    let mut spare: Vec<Reference> = bytemuck::zeroed_vec(capacity);
+    let root_scale = unit_scale(&extent.bounds);
+    let least_overlap = LEAST_OVERLAP * extent.bounds.half_area(root_scale);
+    let job = Job { params, cuts, least_overlap, root_scale };
+    let place = Place { slot: 1, primitive: 0, depth: 0 };
+    let root = Task { references: &mut references, spare: &mut spare, order: &mut order, count, extent, place };
+    let (root_slot, slots) = nodes.split_at_mut(1);
+    root_slot[0] = root.run(slots, &mut Worker::new(&job)).0;
+    BuildTree { nodes, order, repeats: cuts.is_some() }
+}
+
+/// Space is not cut where the boxes of the best division share less than this of the root's surface (Stich et al., section 4.1,
+/// have 1e-5: that takes twice as long, and the hierarchies measured are not better).
+const LEAST_OVERLAP: f32 = 1e-3;
+
+/// What is the same for all tasks.
+struct Job<'a> {
+    params: &'a SahParams,
+    cuts: Option<Cuts<'a>>,
+    least_overlap: f32,
+    /// In which `least_overlap` is measured.
+    root_scale: f32,
 }
 
 /// A subtree to build.
 struct Task<'a> {
+    /// The first `count` are in use. The others, and as many elements of `order`, are room for those that cuts add.
     references: &'a mut [Reference],
     /// As long as `references`: they are partitioned into it, and the two change places for the children.
     spare: &'a mut [Reference],
     order: &'a mut [u32],
+    count: usize,
     extent: &'a Extent,
+    place: Place,
+}
+
+/// Where a subtree is to go.
+#[derive(Clone, Copy)]
+struct Place {
+    /// Where its slots begin in the tree's nodes.
+    slot: usize,
+    /// Where its primitives begin in the tree's order.
+    primitive: usize,
     depth: u32,
 }
 
 /// What a thread has at hand.
 struct Worker<'a> {
-    params: &'a SahParams,
+    job: &'a Job<'a>,
     /// On the heap: recursion is deep and stacks are small.
     bins: Box<Bins>,
 }
 
 impl<'a> Worker<'a> {
-    fn new(params: &'a SahParams) -> Self {
-        Self { params, bins: Box::new(Bins::EMPTY) }
+    fn new(job: &'a Job<'a>) -> Self {
+        Self { job, bins: Box::new(Bins::EMPTY) }
     }
 }
 
+/// The root of a subtree, and how many of the slots below it are in use or before one that is.
+type Built = (BuildNode, usize);
+
 impl Task<'_> {
-    /// Builds the subtree at the start of `nodes` and returns the number of its nodes. Recursion is at most [`MAX_DEPTH`] deep.
-    fn run(self, nodes: &mut [BuildNode], worker: &mut Worker) -> u32 {
-        let count = self.references.len();
-        if count == 1 {
-            return self.make_leaf(nodes);
+    /// Builds the subtree with `slots` for what is below its root. Recursion is at most [`MAX_DEPTH`] deep.
+    fn run(self, slots: &mut [BuildNode], worker: &mut Worker) -> Built {
+        let params = worker.job.params;
+        if self.count == 1 {
+            return self.make_leaf();
         }
-        if count == 2 {
-            return self.pair(nodes, worker.params);
+        if self.count == 2 {
+            return self.pair(slots, params);
         }
-        let can_be_leaf = count <= worker.params.max_leaf_size;
+        let can_be_leaf = self.count <= params.max_leaf_size;
         let scale = unit_scale(&self.extent.bounds);
-        let params = worker.params;
-        match self.find_split(scale, worker) {
-            Some((split, _)) if can_be_leaf && self.is_leaf_cheaper(split.cost, scale, params) => self.make_leaf(nodes),
-            Some((split, chunks)) => self.split(&split, &chunks, nodes, worker),
-            None if can_be_leaf => self.make_leaf(nodes),
-            None => self.halve(nodes, worker),
+        let division = self.find_split(scale, worker);
+        if let Some(cut) = self.find_cut(division.as_ref().map(|(split, _)| split), scale, worker.job) {
+            return match can_be_leaf && self.is_leaf_cheaper(cut.cost, scale, params) {
+                true => self.make_leaf(),
+                false => self.cut(&cut, scale, slots, worker),
+            };
+        }
+        match division {
+            Some((split, _)) if can_be_leaf && self.is_leaf_cheaper(split.cost, scale, params) => self.make_leaf(),
+            Some((split, chunks)) => self.split(&split, &chunks, slots, worker),
+            None if can_be_leaf => self.make_leaf(),
+            None => self.halve(slots, worker),
         }
     }
 
+    fn in_use(&self) -> &[Reference] {
+        &self.references[..self.count]
+    }
+
     /// One leaf or two, without binning: no other count is as common.
-    fn pair(self, nodes: &mut [BuildNode], params: &SahParams) -> u32 {
+    fn pair(self, slots: &mut [BuildNode], params: &SahParams) -> Built {
         let scale = unit_scale(&self.extent.bounds);
         let boxes = [0, 1].map(|i| self.references[i].bounds());
         let split_cost = boxes[0].half_area(scale) + boxes[1].half_area(scale);
         if params.max_leaf_size >= 2 && self.is_leaf_cheaper(split_cost, scale, params) {
-            return self.make_leaf(nodes);
+            return self.make_leaf();
         }
-        nodes[0] = BuildNode::new(&self.extent.bounds, 3, 1);
         for (i, bounds) in boxes.iter().enumerate() {
-            nodes[1 + i] = BuildNode::new(bounds, 1, 0);
+            slots[i] = BuildNode::leaf(bounds, self.place.primitive + i, 1);
             self.order[i] = self.references[i].primitive();
         }
-        3
+        (BuildNode::inner(&self.extent.bounds, self.place.slot), 2)
     }
 
     /// The best split, and the bins of each chunk where the node is large. `None` where the heuristic has nothing to say:
     /// all centres coincide, no area is finite, or the tree is too deep.
     fn find_split(&self, scale: f32, worker: &mut Worker) -> Option<(Split, Vec<Bins>)> {
-        if self.depth >= MAX_SAH_DEPTH {
+        if self.place.depth >= MAX_SAH_DEPTH {
             return None;
         }
-        let binning = Binning::new(self.extent, self.references.len())?;
-        let chunks = if self.references.len() < PARALLEL_MINIMUM {
-            worker.bins.fill(self.references, &binning);
+        let binning = Binning::new(self.extent, self.count)?;
+        let chunks = if self.count < PARALLEL_MINIMUM {
+            worker.bins.fill(self.in_use(), &binning);
             Vec::new()
         } else {
-            worker.bins.fill_by_chunks(self.references, &binning)
+            worker.bins.fill_by_chunks(self.in_use(), &binning)
         };
         Some((worker.bins.best_split(&binning, scale)?, chunks))
+    }
+
+    /// The best plane to cut space at, if that is better than the best division and there is room for it.
+    fn find_cut(&self, division: Option<&Split>, scale: f32, job: &Job) -> Option<SpatialSplit> {
+        let cuts = job.cuts?;
+        if self.references.len() == self.count || self.place.depth >= MAX_SAH_DEPTH {
+            return None;
+        }
+        let overlaps =
+            |split: &Split| split.left.intersection(split.right).half_area(job.root_scale) > job.least_overlap;
+        if !cuts.only && division.is_some_and(|split| !overlaps(split)) {
+            return None;
+        }
+        let most = division.map_or(f32::INFINITY, |split| split.cost);
+        let capacity = self.references.len();
+        let cut = spatial::find_split(cuts.geometry, self.in_use(), &self.extent.bounds, capacity, scale)?;
+        (cuts.only || cut.cost < most).then_some(cut)
     }
 
     /// `split_cost` is the sum of primitive count times scaled half area over both children. An inner node also costs the
     /// fetch of both children, even of one that the ray then misses.
     fn is_leaf_cheaper(&self, split_cost: f32, scale: f32, params: &SahParams) -> bool {
         let inner_cost = 2.0 + params.primitive_cost * split_cost / self.extent.bounds.half_area(scale);
-        params.primitive_cost * self.references.len() as f32 <= inner_cost
+        params.primitive_cost * self.count as f32 <= inner_cost
     }
 
-    fn split(self, split: &Split, chunks: &[Bins], nodes: &mut [BuildNode], worker: &mut Worker) -> u32 {
+    fn split(self, split: &Split, chunks: &[Bins], slots: &mut [BuildNode], worker: &mut Worker) -> Built {
+        let source = &self.references[..self.count];
         let [left_centers, right_centers] = if chunks.is_empty() {
-            partition(self.references, self.spare, split)
+            partition(source, self.spare, split)
         } else {
-            partition_chunks(self.references, self.spare, split, chunks)
+            partition_chunks(source, self.spare, split, chunks)
         };
-        let left = Extent { bounds: split.left, centers: left_centers };
-        let right = Extent { bounds: split.right, centers: right_centers };
+        let left = (Extent { bounds: split.left, centers: left_centers }, split.left_count);
+        let right = (Extent { bounds: split.right, centers: right_centers }, self.count - split.left_count);
         let partitioned = Self { references: self.spare, spare: self.references, ..self };
-        partitioned.recurse(split.left_count, &left, &right, nodes, worker)
+        partitioned.recurse(&[left, right], split.left_count, slots, worker)
+    }
+
+    fn cut(self, cut: &SpatialSplit, scale: f32, slots: &mut [BuildNode], worker: &mut Worker) -> Built {
+        let Some(cuts) = worker.job.cuts else { return self.halve(slots, worker) };
+        let source = &self.references[..self.count];
+        let sides = cut.partition(cuts.geometry, source, self.spare, scale, !cuts.only);
+        let [(_, left_count), (_, right_count)] = sides;
+        if left_count == 0 || right_count == 0 {
+            return self.halve(slots, worker);
+        }
+        let right_start = self.spare.len() - right_count;
+        let partitioned = Self { references: self.spare, spare: self.references, ..self };
+        partitioned.recurse(&sides, right_start, slots, worker)
     }
 
     /// Splits into two halves of equal count along the longest axis.
-    fn halve(self, nodes: &mut [BuildNode], worker: &mut Worker) -> u32 {
+    fn halve(self, slots: &mut [BuildNode], worker: &mut Worker) -> Built {
         let width = self.extent.centers.max - self.extent.centers.min;
         let axis = if width.x >= width.y && width.x >= width.z { 0 } else { 1 + usize::from(width.z > width.y) };
-        let middle = self.references.len() / 2;
-        self.references.select_nth_unstable_by(middle, |a, b| {
+        let (references, middle) = (&mut self.references[..self.count], self.count / 2);
+        references.select_nth_unstable_by(middle, |a, b| {
             let key = |r: &Reference| r.doubled_center()[axis];
             key(a).total_cmp(&key(b)).then(a.primitive().cmp(&b.primitive()))
         });
-        let (left, right) = self.references.split_at(middle);
-        let (left, right) = (Extent::of(left), Extent::of(right));
-        self.recurse(middle, &left, &right, nodes, worker)
+        let (left, right) = references.split_at(middle);
+        let sides = [left, right].map(|side| (Extent::of(side), side.len()));
+        self.recurse(&sides, middle, slots, worker)
     }
 
+    /// Builds both sides: extents and counts. The references of the left one stand first, those of the right one at
+    /// `right_start`.
     fn recurse(
         self,
-        left_count: usize,
-        left: &Extent,
-        right: &Extent,
-        nodes: &mut [BuildNode],
+        sides: &[(Extent, usize); 2],
+        right_start: usize,
+        slots: &mut [BuildNode],
         worker: &mut Worker,
-    ) -> u32 {
-        let count = self.references.len();
-        let depth = self.depth + 1;
-        let (root, slots) = nodes.split_at_mut(1);
-        let (left_order, right_order) = self.order.split_at_mut(left_count);
-        let (left_references, right_references) = self.references.split_at_mut(left_count);
-        let (left_spare, right_spare) = self.spare.split_at_mut(left_count);
-        let left = Task { references: left_references, spare: left_spare, order: left_order, extent: left, depth };
-        let right = Task { references: right_references, spare: right_spare, order: right_order, extent: right, depth };
-        let (left_nodes, right_nodes) = if count < TASK_MINIMUM {
-            let left_nodes = left.run(slots, worker);
-            (left_nodes, right.run(&mut slots[right_child(count, left_count, left_nodes)..], worker))
-        } else {
-            let (left_slots, right_slots) = slots.split_at_mut(right_child(count, left_count, 0));
-            let params = worker.params;
-            rayon::join(|| left.run(left_slots, worker), || right.run(right_slots, &mut Worker::new(params)))
+    ) -> Built {
+        let [(left_extent, left_count), (right_extent, right_count)] = sides;
+        let count = left_count + right_count;
+        let node = BuildNode::inner(&self.extent.bounds, self.place.slot);
+        // Each side gets its part of the room that is left.
+        let room = (self.references.len() - count) as u64;
+        let left_capacity = left_count + (room * *left_count as u64 / count as u64) as usize;
+        self.references.copy_within(right_start..right_start + right_count, left_capacity);
+        let is_small = self.references.len() < TASK_MINIMUM;
+        let (left_order, right_order) = self.order.split_at_mut(left_capacity);
+        let (left_references, right_references) = self.references.split_at_mut(left_capacity);
+        let (left_spare, right_spare) = self.spare.split_at_mut(left_capacity);
+        let place = Place { slot: self.place.slot + 2, depth: self.place.depth + 1, ..self.place };
+        let left = Task {
+            references: left_references,
+            spare: left_spare,
+            order: left_order,
+            count: *left_count,
+            extent: left_extent,
+            place,
         };
-        let node_count = 1 + left_nodes + right_nodes;
-        root[0] = BuildNode::new(&self.extent.bounds, node_count, left_count as u32);
-        node_count
+        let mut right = Task {
+            references: right_references,
+            spare: right_spare,
+            order: right_order,
+            count: *right_count,
+            extent: right_extent,
+            place: Place { primitive: place.primitive + left_capacity, ..place },
+        };
+
+        let (children, slots) = slots.split_at_mut(2);
+        let mut slot_count = slots.len();
+        if is_small {
+            let (left_slots, right_slots);
+            (children[0], left_slots) = left.run(slots, worker);
+            right.place.slot += left_slots;
+            (children[1], right_slots) = right.run(&mut slots[left_slots..], worker);
+            slot_count = left_slots + right_slots;
+        } else {
+            let (left_slots, right_slots) = slots.split_at_mut(slots_below(left_capacity));
+            right.place.slot += left_slots.len();
+            let job = worker.job;
+            (children[0], children[1]) =
+                rayon::join(|| left.run(left_slots, worker).0, || right.run(right_slots, &mut Worker::new(job)).0);
+        }
+        (node, 2 + slot_count)
     }
 
-    fn make_leaf(self, nodes: &mut [BuildNode]) -> u32 {
-        for (slot, reference) in self.order.iter_mut().zip(self.references.iter()) {
+    fn make_leaf(self) -> Built {
+        for (slot, reference) in self.order.iter_mut().zip(self.references[..self.count].iter()) {
             *slot = reference.primitive();
         }
-        nodes[0] = BuildNode::new(&self.extent.bounds, 1, 0);
-        1
+        (BuildNode::leaf(&self.extent.bounds, self.place.primitive, self.count), 0)
     }
-}
-
-/// The power of two that brings the longest side of a box to between 1 and 2, so that areas neither overflow nor vanish;
-/// infinite or zero for a box without a side of normal length.
-fn unit_scale(bounds: &LaneBox) -> f32 {
-    let side = bounds.max - bounds.min;
-    let longest = side.x.max(side.y).max(side.z);
-    1.0 / f32::from_bits(longest.to_bits() & f32::INFINITY.to_bits())
-}
-
-/// Moves the references to `target`, those left of the split first, both sides in their old order. Returns the boxes of
-/// both sides' centres.
-fn partition(source: &[Reference], target: &mut [Reference], split: &Split) -> [LaneBox; 2] {
-    let (left, right) = target.split_at_mut(split.left_count);
-    scatter(source, left, right, split)
-}
-
-/// The same by several threads: the bins of each chunk say how many references it sends to either side.
-fn partition_chunks(source: &[Reference], target: &mut [Reference], split: &Split, chunks: &[Bins]) -> [LaneBox; 2] {
-    let (mut left, mut right) = target.split_at_mut(split.left_count);
-    let mut pieces = Vec::with_capacity(chunks.len());
-    for (source, bins) in source.chunks(CHUNK).zip(chunks) {
-        let left_count = bins.left_count(split);
-        let left_piece = left.split_off_mut(..left_count).unwrap_or_default();
-        let right_piece = right.split_off_mut(..source.len() - left_count).unwrap_or_default();
-        pieces.push((source, left_piece, right_piece));
-    }
-    pieces
-        .into_par_iter()
-        .map(|(source, left, right)| scatter(source, left, right, split))
-        .reduce(|| [LaneBox::EMPTY; 2], |a, b| [a[0].union(b[0]), a[1].union(b[1])])
-}
-
-/// Without a branch: which side a reference goes to is a coin toss that no processor predicts.
-fn scatter(source: &[Reference], left: &mut [Reference], right: &mut [Reference], split: &Split) -> [LaneBox; 2] {
-    let [mut left_centers, mut right_centers] = [LaneBox::EMPTY; 2];
-    let mut next = [0; 2];
-    let targets = [left, right];
-    for reference in source {
-        let center = reference.doubled_center();
-        let side = usize::from(split.is_right(center));
-        // Clamped to infinity for the side that the reference does not go to, so that it leaves those bounds as they are.
-        let away = Vec4::splat([f32::NEG_INFINITY, f32::INFINITY][side]);
-        left_centers.min = left_centers.min.min(center.max(away));
-        left_centers.max = left_centers.max.max(center.min(-away));
-        right_centers.min = right_centers.min.min(center.max(-away));
-        right_centers.max = right_centers.max.max(center.min(away));
-        targets[side][next[side]] = *reference;
-        next[side] += 1;
-    }
-    [left_centers, right_centers]
 }

@@ -12,8 +12,10 @@ pub struct Stats {
     pub node_count: usize,
     /// Leaves.
     pub leaf_count: usize,
-    /// Primitives, over all leaves.
+    /// Primitives, over all leaves: one that is in several counts as often.
     pub primitive_count: usize,
+    /// How many there are more than different ones.
+    pub duplicate_count: usize,
     /// Primitives in the fullest leaf.
     pub largest_leaf: u32,
     /// Nodes from the root to the deepest leaf, both included.
@@ -26,7 +28,7 @@ pub struct Stats {
 }
 
 impl Stats {
-    /// Measures nodes; `bytes` remains 0.
+    /// Measures nodes; `bytes` and `duplicate_count` remain 0.
     pub(super) fn of(nodes: &[Node], primitive_cost: f32) -> Self {
         let mut stats = Self { node_count: nodes.len(), ..Self::default() };
         let Some(root) = nodes.first() else { return stats };

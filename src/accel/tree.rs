@@ -1,51 +1,95 @@
 //! What a builder makes: a binary tree over primitive boxes, not yet in device order.
 
-use bytemuck::Zeroable;
+use bytemuck::{Pod, Zeroable};
 use glam::{Vec3, Vec4, Vec4Swizzles};
 
 use crate::math::Aabb;
 
-/// A binary tree over `order.len()` primitives.
+/// A binary tree over primitives.
 ///
-/// A subtree of `n` primitives owns `2 n - 1` consecutive slots of `nodes` (as many as it can have nodes) and `n` of
-/// `order`: its root comes first, then its left child, then its right child, at [`right_child`]. So threads can fill
-/// subtrees side by side, and nothing needs an index.
+/// Builders that fill subtrees side by side leave gaps in both arrays: a subtree of up to `n` leaves owns `2 n - 2` slots of
+/// `nodes` below its root, as many as it can have nodes there, and `n` of `order`. Memory that is never touched costs nothing.
+#[derive(Default)]
 pub(super) struct BuildTree {
+    /// The root first, unless there is nothing at all; the two children of a node stand side by side.
     pub(super) nodes: Vec<BuildNode>,
-    /// Primitive numbers, leaf after leaf.
+    /// Primitive numbers, a range for each leaf.
     pub(super) order: Vec<u32>,
+    /// Whether a primitive may be in several leaves. None is in one leaf twice.
+    pub(super) repeats: bool,
 }
 
-/// A node of a [`BuildTree`].
-#[derive(Clone, Copy, Zeroable)]
-pub(super) struct BuildNode {
-    pub(super) min: Vec3,
-    pub(super) max: Vec3,
-    /// Nodes in this subtree, itself included.
-    pub(super) node_count: u32,
-    /// Primitives below the left child; 0 for a leaf.
-    pub(super) left_primitives: u32,
-}
-
-impl BuildNode {
-    pub(super) fn new(bounds: &LaneBox, node_count: u32, left_primitives: u32) -> Self {
-        Self { min: bounds.min.xyz(), max: bounds.max.xyz(), node_count, left_primitives }
+impl BuildTree {
+    /// Adds the primitives below a node to the first `count` of `target`, each once. Returns how many there are then, or `None`
+    /// if they do not fit. Recursion is as deep as the tree.
+    pub(super) fn gather(&self, node: usize, target: &mut [u32], mut count: usize) -> Option<usize> {
+        match self.nodes[node].content() {
+            Content::Primitives(range) => {
+                for &primitive in &self.order[range] {
+                    if !(self.repeats && target[..count].contains(&primitive)) {
+                        *target.get_mut(count)? = primitive;
+                        count += 1;
+                    }
+                }
+                Some(count)
+            }
+            Content::Children(child) => {
+                let count = self.gather(child, target, count)?;
+                self.gather(child + 1, target, count)
+            }
+        }
     }
 }
 
-/// How many slots of [`BuildTree::nodes`] a subtree owns.
-pub(super) fn slot_count(primitive_count: usize) -> usize {
-    (2 * primitive_count).saturating_sub(1)
+/// A node of a [`BuildTree`].
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+pub(super) struct BuildNode {
+    pub(super) min: Vec3,
+    /// Of an inner node its first child, of a leaf its first primitive in `order`.
+    first: u32,
+    pub(super) max: Vec3,
+    /// 0 for an inner node.
+    count: u32,
 }
 
-/// Subtrees of fewer primitives are built by one thread, and their nodes stand without gaps: memory that is never touched
-/// costs nothing.
+/// What is below a node.
+pub(super) enum Content {
+    /// The index of the first child; the second one is next to it.
+    Children(usize),
+    /// A range of `order`.
+    Primitives(std::ops::Range<usize>),
+}
+
+impl BuildNode {
+    /// `first_child` is an index of the tree's nodes.
+    pub(super) fn inner(bounds: &LaneBox, first_child: usize) -> Self {
+        Self { min: bounds.min.xyz(), first: first_child as u32, max: bounds.max.xyz(), count: 0 }
+    }
+
+    /// `first` is an index of the tree's order; there is at least one primitive.
+    pub(super) fn leaf(bounds: &LaneBox, first: usize, count: usize) -> Self {
+        Self { min: bounds.min.xyz(), first: first as u32, max: bounds.max.xyz(), count: count as u32 }
+    }
+
+    pub(super) fn content(&self) -> Content {
+        let first = self.first as usize;
+        if self.count == 0 { Content::Children(first) } else { Content::Primitives(first..first + self.count as usize) }
+    }
+
+    #[inline]
+    pub(super) fn bounds(&self) -> LaneBox {
+        LaneBox { min: self.min.extend(0.0), max: self.max.extend(0.0) }
+    }
+}
+
+/// How many slots a subtree of so many leaves owns below its root.
+pub(super) fn slots_below(leaf_count: usize) -> usize {
+    2 * leaf_count.max(1) - 2
+}
+
+/// Subtrees of fewer primitives are built by one thread, and their nodes stand without gaps.
 pub(super) const TASK_MINIMUM: usize = 1 << 10;
-
-/// Where the right child of a subtree of `primitive_count` primitives stands, counted from the left child.
-pub(super) fn right_child(primitive_count: usize, left_primitives: usize, left_nodes: u32) -> usize {
-    if primitive_count < TASK_MINIMUM { left_nodes as usize } else { slot_count(left_primitives) }
-}
 
 /// A box in two SIMD registers; what is in the fourth lanes means nothing.
 #[derive(Clone, Copy, Zeroable)]
@@ -62,6 +106,15 @@ impl LaneBox {
         Self { min: self.min.min(other.min), max: self.max.max(other.max) }
     }
 
+    pub(super) fn aabb(self) -> Aabb {
+        Aabb { min: self.min.xyz(), max: self.max.xyz() }
+    }
+
+    /// What is in both; a least corner is above the greatest one if nothing is.
+    pub(super) fn intersection(self, other: Self) -> Self {
+        Self { min: self.min.max(other.min), max: self.max.min(other.max) }
+    }
+
     #[inline]
     pub(super) fn with_point(self, point: Vec4) -> Self {
         Self { min: self.min.min(point), max: self.max.max(point) }
@@ -73,6 +126,14 @@ impl LaneBox {
         let d = (self.max - self.min) * scale;
         d.x * d.y + d.y * d.z + d.z * d.x
     }
+}
+
+/// The power of two that brings the longest side of a box to between 1 and 2, so that areas neither overflow nor vanish;
+/// infinite or zero for a box without a side of normal length.
+pub(super) fn unit_scale(bounds: &LaneBox) -> f32 {
+    let side = bounds.max - bounds.min;
+    let longest = side.x.max(side.y).max(side.z);
+    1.0 / f32::from_bits(longest.to_bits() & f32::INFINITY.to_bits())
 }
 
 /// A primitive as the builder moves it about: its box and its number. 32 bytes.
@@ -90,6 +151,11 @@ const TAG: u32 = 0x4000_0000;
 impl Reference {
     pub(super) fn new(bounds: &Aabb, primitive: u32) -> Self {
         Self { min: bounds.min.extend(f32::from_bits(TAG | primitive)), max: bounds.max.extend(1.0) }
+    }
+
+    /// The same primitive, of which only what is in `bounds` counts.
+    pub(super) fn within(&self, bounds: &LaneBox) -> Self {
+        Self { min: bounds.min.with_w(self.min.w), max: bounds.max.with_w(1.0) }
     }
 
     pub(super) fn primitive(&self) -> u32 {
@@ -131,7 +197,7 @@ impl Extent {
     }
 
     pub(super) fn aabb(&self) -> Aabb {
-        Aabb { min: self.bounds.min.xyz(), max: self.bounds.max.xyz() }
+        self.bounds.aabb()
     }
 
     pub(super) fn of(references: &[Reference]) -> Self {

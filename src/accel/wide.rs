@@ -29,7 +29,7 @@ const MARGIN: f64 = 1.0 / (1 << 10) as f64;
 const LEAF_SIZE: u8 = 4;
 
 /// Children of a wide node.
-const WIDTH: usize = 8;
+pub(super) const WIDTH: usize = 8;
 
 /// The wide nodes of a binary hierarchy in depth-first order (the right child of an inner node is where the left one's escape
 /// index leads). O(n).
@@ -86,7 +86,8 @@ impl Tree<'_> {
         let count = self.open(index, levels, &mut opened);
         let slots = assign_slots(self.nodes, &opened[..count]);
         let own = wide.len();
-        wide.push(quantised(self.nodes, index, &slots));
+        let corners = |node: usize| [self.nodes[node].min, self.nodes[node].max].map(Vec3::from_array);
+        wide.push(quantised(corners(index), &slots.map(|child| child.map(corners))));
         for (slot, &child) in slots.iter().enumerate() {
             let Some(child) = child else { continue };
             let subtree = self.subtrees[child];
@@ -155,10 +156,9 @@ fn assign_slots(nodes: &[Node], opened: &[usize]) -> [Option<usize>; WIDTH] {
     slots
 }
 
-/// A wide node without its children's indices.
-fn quantised(nodes: &[Node], index: usize, slots: &[Option<usize>; WIDTH]) -> WideNode {
-    let corners = |index: usize| [nodes[index].min, nodes[index].max].map(|corner| Vec3::from_array(corner).as_dvec3());
-    let [min, max] = corners(index);
+/// A wide node without its children's indices: the least and greatest corner of its box, and of those of its children.
+pub(super) fn quantised(own: [Vec3; 2], slots: &[Option<[Vec3; 2]>; WIDTH]) -> WideNode {
+    let [min, max] = own.map(Vec3::as_dvec3);
     let grid = Grid::around(min, max);
     let mut wide = WideNode {
         origin: grid.origin.as_vec3().to_array(),
@@ -167,15 +167,19 @@ fn quantised(nodes: &[Node], index: usize, slots: &[Option<usize>; WIDTH]) -> Wi
         children: [PrimitiveRange::INNER; WIDTH],
     };
     wide.exponents[..3].copy_from_slice(&grid.exponents);
-    for (slot, &child) in slots.iter().enumerate() {
+    for (slot, child) in slots.iter().enumerate() {
         let Some(child) = child else { continue };
         wide.exponents[3] |= 1 << slot;
-        let [min, max] = corners(child);
+        let [min, max] = child.map(Vec3::as_dvec3);
         for axis in 0..3 {
-            let step = step(grid.exponents[axis]);
-            let from = |plane: f64| (plane - grid.origin[axis]) / step;
-            wide.planes[axis][0][slot] = (from(min[axis]) - MARGIN).floor() as u8;
-            wide.planes[axis][1][slot] = (from(max[axis]) + MARGIN).ceil() as u8;
+            // A power of two: nothing is rounded.
+            let steps = step(grid.exponents[axis]).recip();
+            let from = |plane: f64| (plane - grid.origin[axis]) * steps;
+            // Rounded down and up without a call, which it is where the processor need not have an instruction for it.
+            let most = from(max[axis]) + MARGIN;
+            let below = most as u8;
+            wide.planes[axis][0][slot] = (from(min[axis]) - MARGIN) as u8;
+            wide.planes[axis][1][slot] = below + u8::from(f64::from(below) < most);
         }
     }
     wide

@@ -39,6 +39,25 @@ impl Arena {
         Ok(range)
     }
 
+    /// Stores `values` in the place of others: in the same range if that is as long.
+    ///
+    /// # Errors
+    /// As [`store`](Self::store); then the range is empty.
+    pub(super) fn replace<T: Pod>(
+        &mut self,
+        buffer: &mut DeviceBuffer<T>,
+        range: &mut Range<u32>,
+        values: &[T],
+    ) -> Result<()> {
+        if range.len() == values.len() {
+            buffer.write(range.start as usize, values);
+        } else {
+            self.release(buffer, std::mem::take(range));
+            *range = self.store(buffer, values)?;
+        }
+        Ok(())
+    }
+
     /// Gives a range back. The buffer ends where the last range in use does.
     pub(super) fn release<T: Pod>(&mut self, buffer: &mut DeviceBuffer<T>, range: Range<u32>) {
         if range.is_empty() {
@@ -50,6 +69,22 @@ impl Arena {
             buffer.truncate(self.allocator.allocated_ranges().last().map_or(0, |r| r.end as usize));
         }
     }
+}
+
+/// The parts of `values` in some ranges, which must not overlap; empty for one that does.
+pub(super) fn disjoint_mut<'a, T>(values: &'a mut [T], ranges: &[Range<usize>]) -> Vec<&'a mut [T]> {
+    let mut order: Vec<usize> = (0..ranges.len()).collect();
+    order.sort_unstable_by_key(|&i| ranges[i].start);
+    let mut parts: Vec<&mut [T]> = Vec::new();
+    parts.resize_with(ranges.len(), Default::default);
+    let (mut rest, mut rest_start) = (values, 0);
+    for i in order.into_iter().filter(|&i| !ranges[i].is_empty()) {
+        let range = &ranges[i];
+        let _gap = rest.split_off_mut(..range.start - rest_start);
+        parts[i] = rest.split_off_mut(..range.len()).unwrap_or_default();
+        rest_start = range.end;
+    }
+    parts
 }
 
 impl fmt::Debug for Arena {

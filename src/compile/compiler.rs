@@ -44,6 +44,8 @@ pub struct Compiler {
     origin: DVec3,
     /// The report of a compile that finds nothing changed.
     unchanged: CompileReport,
+    /// Compiles of this scene.
+    compile_count: u64,
 }
 
 /// How much of a hierarchy has been read.
@@ -75,13 +77,15 @@ impl Compiler {
             observer: None,
             origin: DVec3::ZERO,
             unchanged: CompileReport::default(),
+            compile_count: 0,
         }
     }
 
     /// Brings the arrays up to date with `scene`, to be seen by `observer`, or from an eye at some point in the world.
     ///
     /// Costs nothing for an unchanged scene, else what changed: a record and a patch of the top level for each instance
-    /// that moved, came or went, a bottom-level build for each new or changed geometry.
+    /// that moved, came or went, a bottom-level build for each new geometry, and a refit or a build for each
+    /// that changed.
     ///
     /// # Errors
     /// [`Error::Limit`](crate::Error::Limit) if an array would pass what its indices can address, or instances of instances
@@ -138,6 +142,7 @@ impl Compiler {
         let start = Instant::now();
         let mut report = self.unchanged.clone();
         let dirty = self.read_changes(scene);
+        self.compile_count += 1;
         if dirty.everything {
             self.origin = observer.eye;
         } else if !dirty.any && self.view.is_current(observer) && !self.is_far(observer.eye) {
@@ -282,11 +287,14 @@ impl Compiler {
         }
         if !dirty.geometries.is_empty() || self.instances.geometries().changed() {
             let start = Instant::now();
-            let update = self.geometries.update(scene, self.instances.geometries(), &mut self.arrays)?;
+            let used = self.instances.geometries();
+            let update = self.geometries.update(scene, used, self.compile_count, &mut self.arrays)?;
             self.instances.geometries_mut().forget_changes();
-            self.instances.mark_users(&update.built, &[]);
-            report.blas_built = update.built.len();
-            report.blas_built_triangles = update.built_triangles;
+            self.instances.mark_users(&update.changed, &[]);
+            (report.blas_built, report.blas_built_triangles) = (update.built.structures, update.built.triangles);
+            (report.blas_refitted, report.blas_refitted_triangles) =
+                (update.refitted.structures, update.refitted.triangles);
+            report.blas_builds = update.builds;
             report.blas_freed = update.freed;
             report.blas_time = start.elapsed();
         }

@@ -402,14 +402,16 @@ fn place(member: &Member, sources: &Sources<'_>) -> (Instance, Aabb, usize) {
     let entry = member.entry as usize;
     let world_from_local = sources.view.world(sources.hierarchy, entry);
     if geometry.nodes.is_empty() {
-        return nothing(geometry.triangle_count);
+        return nothing(geometry.triangle_count());
     }
     let Some(placement) = Placement::new(&world_from_local, sources.origin, &geometry.support) else {
-        return nothing(geometry.triangle_count);
+        return nothing(geometry.triangle_count());
     };
-    let indices = [geometry.nodes.start, geometry.triangles.start, geometry.streams.start, material.record.start];
+    let indices =
+        [geometry.nodes.start, geometry.triangles.start, geometry.streams.record.start, material.record.start];
     let mask = sources.hierarchy.placed()[entry].mask;
     let mut flags = material.instance_flags;
     flags.set(InstanceFlags::THIN, material.needs.contains(Needs::REFRACTION) && !geometry.encloses());
-    (placement.instance(indices, mask, flags, member.node), placement.bounds, geometry.triangle_count)
+    flags.set(InstanceFlags::REPEATS, geometry.repeats);
+    (placement.instance(indices, mask, flags, member.node), placement.bounds, geometry.triangle_count())
 }

@@ -2,6 +2,7 @@
 
 mod arena;
 mod compiler;
+mod deformation;
 mod dirty;
 mod enclosure;
 mod geometry_cache;
@@ -11,9 +12,11 @@ mod needs;
 mod observer;
 mod pack;
 mod report;
+mod vertex_streams;
 mod view_dependent;
 
 pub use compiler::Compiler;
+pub use deformation::BlasBuilds;
 pub use instance_table::InstanceSource;
 pub use needs::{MAX_MIRROR_ROUGHNESS, Needs};
 pub use observer::{ImageHeight, Observer};

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use serde::Serialize;
 
-use super::Needs;
+use super::{BlasBuilds, Needs};
 use crate::accel::Update;
 
 /// What one [`Compiler::compile`](super::Compiler::compile) did.
@@ -21,6 +21,12 @@ pub struct CompileReport {
     pub blas_built: usize,
     /// Triangles in them.
     pub blas_built_triangles: usize,
+    /// Why they were built.
+    pub blas_builds: BlasBuilds,
+    /// Bottom-level structures refitted: their boxes follow the triangles of a geometry that deformed.
+    pub blas_refitted: usize,
+    /// Triangles in them.
+    pub blas_refitted_triangles: usize,
     /// Bottom-level structures freed.
     pub blas_freed: usize,
     /// Bottom-level structures there are now.
@@ -46,7 +52,7 @@ pub struct CompileReport {
     /// Time to find what changed and to write instances, materials and lights, in seconds.
     #[serde(serialize_with = "seconds")]
     pub update_time: Duration,
-    /// Time to build bottom-level structures, in seconds.
+    /// Time to build and refit bottom-level structures, and to write them and their streams, in seconds.
     #[serde(serialize_with = "seconds")]
     pub blas_time: Duration,
     /// Time to build the top level, in seconds.
@@ -63,6 +69,9 @@ impl CompileReport {
             instances_written: 0,
             blas_built: 0,
             blas_built_triangles: 0,
+            blas_builds: BlasBuilds::default(),
+            blas_refitted: 0,
+            blas_refitted_triangles: 0,
             blas_freed: 0,
             update_time: Duration::ZERO,
             blas_time: Duration::ZERO,

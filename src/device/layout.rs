@@ -151,6 +151,9 @@ bitflags::bitflags! {
         const TRANSLUCENT = 4;
         /// A transmissive surface that encloses nothing (its geometry is not closed): light passes without bending.
         const THIN = 8;
+        /// Some triangle is in several leaves of the geometry's structure, and may be met more than once: what is counted must
+        /// count it once.
+        const REPEATS = 16;
     }
 }
 

@@ -171,6 +171,7 @@ impl Recipe {
             normals: normals.map(Arc::from),
             tex_coords: tex_coords.map(|set| set.map(Arc::from)),
             colors: colors.map(Arc::from),
+            structure: None,
         })
     }
 

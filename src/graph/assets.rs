@@ -1,5 +1,9 @@
 //! Geometries, materials and textures: added, replaced, and freed when their last user goes.
 
+use std::sync::Arc;
+
+use glam::Vec3;
+
 use super::changes::Change;
 use super::core::CoreSlot;
 use super::ranges::{check_material, check_texture};
@@ -7,7 +11,7 @@ use super::scene::stale;
 use super::store::Store;
 use super::{Core, CoreKey, Geometry, GeometryKey, Material, MaterialKey, Scene, Texture, TextureKey};
 use crate::Result;
-use crate::math::{Aabb, Bounds};
+use crate::math::Bounds;
 
 /// An asset with the number of its users: cores that refer to a geometry or a material, references in materials to a
 /// texture.
@@ -34,16 +38,9 @@ pub(super) struct StoredGeometry {
 }
 
 impl StoredGeometry {
-    /// Checks and measures a geometry.
-    fn new(geometry: Geometry, version: u64) -> Result<Self> {
-        geometry.validate()?;
-        Ok(Self::of_valid(geometry, version))
-    }
-
     /// Measures a geometry that was checked.
     pub(super) fn of_valid(geometry: Geometry, version: u64) -> Self {
-        let corners = geometry.indices.iter().flatten().map(|&vertex| geometry.positions[vertex as usize]);
-        let bounds = Aabb::from_points(corners).into();
+        let bounds = geometry.bounds().into();
         Self { geometry, version, bounds }
     }
 }
@@ -55,7 +52,8 @@ impl Scene {
     /// # Errors
     /// [`Error::InvalidGeometry`](crate::Error::InvalidGeometry) as [`Geometry::validate`].
     pub fn add_geometry(&mut self, geometry: Geometry) -> Result<GeometryKey> {
-        let key = self.geometries.insert(Used::new(StoredGeometry::new(geometry, 0)?));
+        geometry.validate()?;
+        let key = self.geometries.insert(Used::new(StoredGeometry::of_valid(geometry, 0)));
         self.record(key, Change::ADDED);
         Ok(key)
     }
@@ -96,18 +94,59 @@ impl Scene {
     /// [`Error::StaleKey`](crate::Error::StaleKey); [`Error::InvalidGeometry`](crate::Error::InvalidGeometry) as
     /// [`Geometry::validate`].
     pub fn set_geometry(&mut self, key: GeometryKey, geometry: Geometry) -> Result<()> {
-        let old = self.stored_geometry(key)?;
-        if old.geometry != geometry {
-            let (new, old_bounds) = (StoredGeometry::new(geometry, old.version + 1)?, old.bounds);
-            let resized = new.bounds != old_bounds;
-            self.touch(key);
-            self.geometries[key].value = new;
-            if resized {
-                self.boxes_changed(key);
-            }
-            self.record(key, Change::DATA);
+        if *self.geometry(key)? != geometry {
+            geometry.validate()?;
+            self.replace_geometry(key, geometry);
         }
         Ok(())
+    }
+
+    /// Puts the vertices of a geometry elsewhere, wherever it is used, and keeps its triangles: for what deforms. `None` keeps
+    /// the normals that it has. O(vertices + triangles), on all threads; if its box changes, also O(cores).
+    ///
+    /// The next render then refits the geometry's acceleration structure instead of building another; see
+    /// `docs/SCENE_GRAPH.md`, "What deforms". [`set_geometry`](Self::set_geometry) with equal `indices` does the same, but
+    /// must find out that they are.
+    ///
+    /// ```
+    /// use glam::Vec3;
+    /// use ropewalk::{Geometry, Scene};
+    ///
+    /// let mut scene = Scene::new();
+    /// let geometry = scene.add_geometry(Geometry::new([Vec3::ZERO, Vec3::X, Vec3::Y], [[0, 1, 2]]))?;
+    /// scene.set_positions(geometry, [Vec3::ZERO, Vec3::X, Vec3::Y * 2.0], None)?;
+    /// assert_eq!(scene.geometry_bounds(geometry)?.max.y, 2.0);
+    /// # Ok::<(), ropewalk::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`Error::StaleKey`](crate::Error::StaleKey); [`Error::InvalidGeometry`](crate::Error::InvalidGeometry) where there are not
+    /// as many positions or normals as the geometry has vertices, or one is not finite.
+    pub fn set_positions(
+        &mut self,
+        key: GeometryKey,
+        positions: impl Into<Arc<[Vec3]>>,
+        normals: Option<Arc<[Vec3]>>,
+    ) -> Result<()> {
+        let old = self.geometry(key)?;
+        let new = old.deformed(positions.into(), normals)?;
+        if old.positions != new.positions || old.normals != new.normals {
+            self.replace_geometry(key, new);
+        }
+        Ok(())
+    }
+
+    /// Puts a valid geometry in the place of another.
+    pub(super) fn replace_geometry(&mut self, key: GeometryKey, geometry: Geometry) {
+        let old = &self.geometries[key].value;
+        let new = StoredGeometry::of_valid(geometry, old.version + 1);
+        let resized = old.bounds != new.bounds;
+        self.touch(key);
+        self.geometries[key].value = new;
+        if resized {
+            self.boxes_changed(key);
+        }
+        self.record(key, Change::DATA);
     }
 
     /// Adds a material that no core uses yet. O(1).

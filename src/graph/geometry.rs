@@ -3,8 +3,11 @@
 use std::sync::Arc;
 
 use glam::{Vec2, Vec3, Vec4};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use super::Structure;
+use crate::math::Aabb;
 use crate::{Error, Result};
 
 /// An indexed triangle mesh in local space.
@@ -23,6 +26,10 @@ pub struct Geometry {
     pub tex_coords: [Option<Arc<[Vec2]>>; 2],
     /// Linear RGBA in 0 to 1, multiplied with the material's base colour.
     pub colors: Option<Arc<[Vec4]>>,
+    /// The acceleration structure to build for it. `None` leaves that to the compiler, which goes by how often the geometry
+    /// changes: [`Structure::default`] for one that is new or changes now and then, a faster build for one that changes frame
+    /// after frame. An explicit choice holds whatever the geometry does.
+    pub structure: Option<Structure>,
 }
 
 impl Geometry {
@@ -32,6 +39,29 @@ impl Geometry {
     /// A geometry of positions and triangles alone.
     pub fn new(positions: impl Into<Arc<[Vec3]>>, indices: impl Into<Arc<[[u32; 3]]>>) -> Self {
         Self { positions: positions.into(), indices: indices.into(), ..Self::default() }
+    }
+
+    /// It with this acceleration structure, see [`structure`](Self::structure).
+    #[must_use]
+    pub fn with_structure(self, structure: impl Into<Option<Structure>>) -> Self {
+        Self { structure: structure.into(), ..self }
+    }
+
+    /// It with its vertices elsewhere; the triangles are shared. Checks what is new.
+    pub(super) fn deformed(&self, positions: Arc<[Vec3]>, normals: Option<Arc<[Vec3]>>) -> Result<Self> {
+        let vertex_count = self.positions.len();
+        check_stream("positions", Some(&positions), vertex_count, |v| v.is_finite())?;
+        check_stream("normals", normals.as_deref(), vertex_count, |v| v.is_finite())?;
+        Ok(Self { positions, normals: normals.or_else(|| self.normals.clone()), ..self.clone() })
+    }
+
+    /// The box around the triangles of a valid geometry; vertices that none of them uses do not count. O(triangles).
+    pub(super) fn bounds(&self) -> Aabb {
+        let of_triangle = |triangle: &[u32; 3]| triangle.map(|vertex| self.positions[vertex as usize]);
+        self.indices
+            .par_chunks(1 << 13)
+            .map(|chunk| Aabb::from_points(chunk.iter().flat_map(of_triangle)))
+            .reduce(|| Aabb::EMPTY, Aabb::union)
     }
 
     /// Whether it is equal: at once where the streams are shared.
@@ -46,7 +76,8 @@ impl Geometry {
             && Arc::ptr_eq(&self.indices, &other.indices)
             && is_shared(self.normals.as_ref(), other.normals.as_ref())
             && (0..2).all(|i| is_shared(self.tex_coords[i].as_ref(), other.tex_coords[i].as_ref()))
-            && is_shared(self.colors.as_ref(), other.colors.as_ref());
+            && is_shared(self.colors.as_ref(), other.colors.as_ref())
+            && self.structure == other.structure;
         is_shared || self == other
     }
 

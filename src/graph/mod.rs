@@ -26,6 +26,7 @@ mod ranges;
 mod scene;
 mod store;
 mod structure;
+mod structure_choice;
 mod switch;
 mod transfer;
 mod transform;
@@ -46,6 +47,7 @@ pub use material::{AlphaMode, Filter, Material, Sampler, Texture, TextureRef, Wr
 pub use node::Keep;
 pub use query::{Ancestors, Children, Descendants, Users};
 pub use scene::{Scene, SceneId};
+pub use structure_choice::{Quality, Structure};
 pub use switch::Switch;
 pub use transfer::{Delta, EditQueue, EditSender, NodeState, Pending, Recorder, Replay, SceneFileFault, State};
 pub use transform::Transform;

@@ -5,7 +5,7 @@ use glam::DVec3;
 use super::crossing::LevelRay;
 use super::{Placement, Queries, require, vector};
 use crate::Result;
-use crate::device::layout::Node;
+use crate::device::layout::{Node, Triangle};
 use crate::graph::NodePath;
 
 /// A direction along no plane or diagonal that a model is likely to have. Any would do: crossings are counted exactly.
@@ -48,14 +48,16 @@ impl Queries<'_> {
 
     fn encloses(&self, placement: &Placement<'_>, point: DVec3) -> bool {
         let ray = LevelRay::new(placement.local_from_world.transform_point3(point), PROBE);
-        let mut is_inside = false;
+        let mut crossed = Vec::new();
         let mut bottom = self.bottom(placement);
         while let Some(leaf) = bottom.next_leaf(|node| ray.meets(node, 0.0, f64::INFINITY)) {
             let (_, triangles) = self.triangles(placement, leaf.primitives);
-            for crossing in triangles.iter().filter_map(|triangle| ray.cross(triangle)) {
-                is_inside ^= crossing.t > 0.0;
-            }
+            let is_crossed = |triangle: &&Triangle| ray.cross(triangle).is_some_and(|crossing| crossing.t > 0.0);
+            crossed.extend(triangles.iter().filter(is_crossed).map(|triangle| triangle.primitive));
         }
-        is_inside
+        // A triangle that is in several leaves counts once.
+        crossed.sort_unstable();
+        crossed.dedup();
+        crossed.len() % 2 == 1
     }
 }

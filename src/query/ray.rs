@@ -93,6 +93,8 @@ impl Queries<'_> {
         all.sort_unstable_by(|a, b| {
             a.distance.total_cmp(&b.distance).then((a.slot, a.primitive).cmp(&(b.slot, b.primitive)))
         });
+        // A triangle that is in several leaves counts once.
+        all.dedup_by_key(|found| (found.slot, found.primitive));
         Ok(all.iter().filter_map(|found| self.hit(found)).collect())
     }
 

@@ -40,12 +40,14 @@ impl fmt::Display for FrameReport {
         let c = &self.compile;
         write!(
             f,
-            "{}: top level {}, {} bottom-level built ({} triangles), {} bytes uploaded; \
+            "{}: top level {}, {} bottom-level built ({} triangles), {} refitted ({} triangles), {} bytes uploaded; \
              {:.2} ms update, {:.2} ms bottom level, {:.2} ms top level, {:.2} ms upload, {:.2} ms trace",
             self.device.executor,
             c.tlas,
             c.blas_built,
             c.blas_built_triangles,
+            c.blas_refitted,
+            c.blas_refitted_triangles,
             self.uploaded_bytes,
             c.update_time.as_secs_f64() * 1e3,
             c.blas_time.as_secs_f64() * 1e3,

@@ -7,6 +7,7 @@ mod hits;
 mod kernel_support;
 mod meshes;
 mod quality;
+mod refit;
 mod structure;
 mod top_level;
 mod top_level_updates;

@@ -1,14 +1,14 @@
 //! How good the hierarchies are, against a builder that tries every split.
 
 use glam::DVec3;
-use ropewalk::accel::{Blas, BuildParams};
+use ropewalk::accel::{Blas, BuildParams, MAX_CHILDREN};
 use ropewalk::device::layout::{NONE, Node};
 use ropewalk::math::Aabb;
 
 use crate::kernel_support::Mesh;
 use crate::meshes::{adversarial, geometry};
 
-const PARAMS: BuildParams = BuildParams { max_leaf_size: 15, triangle_cost: 1.5 };
+const PARAMS: BuildParams = BuildParams { max_leaf_size: 15, ..BuildParams::PAPER };
 
 fn half_area(aabb: &Aabb) -> f64 {
     let d: DVec3 = aabb.max.as_dvec3() - aabb.min.as_dvec3();
@@ -101,11 +101,55 @@ fn node_area(node: &Node) -> f64 {
 /// Cost times root area, depth and leaves of the subtree in `nodes[index..end]`, by recursion.
 fn walk(nodes: &[Node], index: usize, end: usize) -> (f64, usize, usize) {
     let node = &nodes[index];
+    let area = node_area(node);
     if node.primitives.count() > 0 {
-        return (node_area(node) * f64::from(node.primitives.count()) * f64::from(PARAMS.triangle_cost), 1, 1);
+        return (area * f64::from(node.primitives.count()) * f64::from(PARAMS.triangle_cost), 1, 1);
     }
-    let second = nodes[index + 1].escape_index as usize;
     assert_eq!(if node.escape_index == NONE { nodes.len() } else { node.escape_index as usize }, end);
-    let (left, right) = (walk(nodes, index + 1, second), walk(nodes, second, end));
-    (2.0 * node_area(node) + left.0 + right.0, 1 + left.1.max(right.1), left.2 + right.2)
+    let (mut sum, mut child, mut children) = ((0.0, 0, 0), index + 1, 0);
+    while child < end {
+        let next = (nodes[child].escape_index as usize).min(end);
+        let (cost, depth, leaves) = walk(nodes, child, next);
+        sum = (sum.0 + area + cost, sum.1.max(depth), sum.2 + leaves);
+        (child, children) = (next, children + 1);
+    }
+    assert!((2..=MAX_CHILDREN).contains(&children));
+    (sum.0, 1 + sum.1, sum.2)
+}
+
+/// The surface of each inner node but the root, over that of its parent, and its number of children.
+fn shares(nodes: &[Node]) -> Vec<(f64, usize)> {
+    let mut shares = Vec::new();
+    let mut ancestors: Vec<(usize, usize)> = Vec::new();
+    for (index, node) in nodes.iter().enumerate() {
+        ancestors.retain(|&(_, end)| index < end);
+        if node.primitives.count() > 0 {
+            continue;
+        }
+        let end = (node.escape_index as usize).min(nodes.len());
+        let (mut child, mut children) = (index + 1, 0);
+        while child < end {
+            (child, children) = ((nodes[child].escape_index as usize).min(end), children + 1);
+        }
+        if let Some(&(parent, _)) = ancestors.last() {
+            shares.push((node_area(node) / node_area(&nodes[parent]), children));
+        }
+        ancestors.push((index, end));
+    }
+    shares
+}
+
+#[test]
+fn nodes_that_save_nothing_are_left_out() {
+    for (name, mesh) in [("soup", Mesh::soup(1, 5000)), ("displaced", Mesh::displaced_icosphere(4))] {
+        let blas = Blas::build(&geometry(&mesh), &PARAMS).unwrap();
+        let stats = blas.stats();
+        let (inner, binary) = (stats.node_count - stats.leaf_count, stats.leaf_count - 1);
+        println!("{name}: {inner} inner nodes of {binary}");
+        assert!(inner * 4 < binary * 3, "{name}: {inner} inner nodes of {binary}");
+        // Each node that is left saves fetches, but for those that the limit of children has kept: full ones, or below one.
+        let shares = shares(&blas.nodes);
+        let useless = shares.iter().filter(|(share, children)| *children as f64 * (1.0 - share) < 0.99).count();
+        assert!(shares.len() > 500 && useless * 20 < shares.len(), "{name}: {useless} of {}", shares.len());
+    }
 }

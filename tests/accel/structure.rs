@@ -3,16 +3,16 @@
 use glam::Vec3;
 use ropewalk::Error;
 use ropewalk::accel::{Blas, BuildParams, MAX_DEPTH, StructureError};
-use ropewalk::device::layout::{NONE, PrimitiveRange};
-use ropewalk::graph::Geometry;
+use ropewalk::device::layout::{NONE, Node, PrimitiveRange};
+use ropewalk::graph::{Geometry, Quality, Structure};
 
-use crate::kernel_support::Mesh;
-use crate::meshes::{adversarial, beyond_arithmetic, geometry, grid, identical};
+use crate::kernel_support::{Mesh, Random};
+use crate::meshes::{STRUCTURES, adversarial, beyond_arithmetic, geometry, grid, identical};
 
 const PARAMS: [BuildParams; 3] = [
-    BuildParams { max_leaf_size: 15, triangle_cost: 1.5 },
+    BuildParams { max_leaf_size: 15, ..BuildParams::PAPER },
     BuildParams::PAPER,
-    BuildParams { max_leaf_size: 15, triangle_cost: 0.1 },
+    BuildParams { max_leaf_size: 15, triangle_cost: 0.1, ..BuildParams::PAPER },
 ];
 
 /// The triangles that a ray can hit.
@@ -29,7 +29,17 @@ fn check(name: &str, mesh: &Mesh, params: &BuildParams) {
     assert_eq!(blas.validate(), Ok(()), "{name}");
     let mut primitives: Vec<u32> = blas.triangles.iter().map(|t| t.primitive).collect();
     primitives.sort_unstable();
+    let all = primitives.len();
+    primitives.dedup();
     assert_eq!(primitives, with_area(mesh), "{name}");
+    assert_eq!(blas.repeats, all > primitives.len(), "{name}");
+    assert_eq!(blas.stats().duplicate_count, all - primitives.len(), "{name}");
+    let room = match params.structure {
+        Structure::Bvh(Quality::Best) => 0.3,
+        Structure::KdTree => 1.0,
+        Structure::Bvh(_) => 0.0,
+    };
+    assert!(all as f32 <= primitives.len() as f32 * (1.0 + room), "{name}: {all} of {}", primitives.len());
     for triangle in &blas.triangles {
         let corners = mesh.triangle(triangle.primitive as usize).map(|p| p.to_array());
         assert_eq!([triangle.v0, triangle.v1, triangle.v2], corners, "{name}");
@@ -38,25 +48,28 @@ fn check(name: &str, mesh: &Mesh, params: &BuildParams) {
     assert!(stats.depth <= MAX_DEPTH, "{name}: {} levels", stats.depth);
     assert!(stats.largest_leaf <= params.max_leaf_size, "{name}: {} in a leaf", stats.largest_leaf);
     assert_eq!(stats.primitive_count, blas.triangles.len(), "{name}");
-    assert_eq!(stats.bytes, 32 * blas.nodes.len() + 48 * blas.triangles.len());
+    assert_eq!(stats.bytes, 32 * blas.nodes.len() + 96 * blas.wide_nodes.len() + 48 * blas.triangles.len());
 }
 
 #[test]
 fn adversarial_meshes() {
     for (name, mesh) in adversarial().into_iter().chain(beyond_arithmetic()) {
         assert!(!mesh.indices.is_empty());
-        for params in &PARAMS {
-            check(name, &mesh, params);
+        for (params, structure) in PARAMS.iter().flat_map(|p| STRUCTURES.map(|s| (p, s))) {
+            check(&format!("{name}, {structure:?}"), &mesh, &BuildParams { structure, ..*params });
         }
     }
 }
 
 #[test]
 fn a_million_identical_triangles() {
-    let blas = Blas::build(&geometry(&identical(1_000_000)), &BuildParams::default()).unwrap();
-    let stats = blas.stats();
-    assert_eq!((stats.primitive_count, stats.largest_leaf), (1_000_000, 15.min(stats.largest_leaf)));
-    assert!(stats.depth <= 18, "halving a million down to 15 takes 17 levels, not {}", stats.depth);
+    let geometry = geometry(&identical(1_000_000));
+    for structure in STRUCTURES {
+        let stats = Blas::build(&geometry, &BuildParams::new(structure)).unwrap().stats();
+        assert_eq!((stats.primitive_count - stats.duplicate_count, stats.largest_leaf.max(15)), (1_000_000, 15));
+        // Halving a million down to 15 takes 17 levels.
+        assert!(stats.depth <= 19, "{structure:?}: {} levels", stats.depth);
+    }
 }
 
 #[test]
@@ -88,7 +101,7 @@ fn invalid_geometry_is_refused() {
 fn leaf_size_is_clamped() {
     let mesh = Mesh::soup(3, 500);
     for (asked, largest) in [(0, 1), (1, 1), (4, 4), (1000, 15)] {
-        let params = BuildParams { max_leaf_size: asked, triangle_cost: 1e-3 };
+        let params = BuildParams { max_leaf_size: asked, triangle_cost: 1e-3, ..BuildParams::default() };
         let blas = Blas::build(&geometry(&mesh), &params).unwrap();
         assert_eq!(blas.stats().largest_leaf.max(largest), largest);
     }
@@ -101,14 +114,16 @@ fn the_number_of_threads_changes_nothing() {
     sphere.indices.extend(vec![[5, 5, 6]; 100]);
     for mesh in [sphere, grid(300, 200, 1, 0.5)] {
         assert!(mesh.indices.len() > 1 << 16);
-        let build = |threads| {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| Blas::build(&geometry(&mesh), &BuildParams::default()).unwrap())
-        };
-        let alone = build(1);
-        assert!(alone.nodes.len() > 10_000);
-        for threads in [2, 5, 16] {
-            assert!(build(threads) == alone, "{threads} threads");
+        for structure in STRUCTURES {
+            let build = |threads| {
+                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+                pool.install(|| Blas::build(&geometry(&mesh), &BuildParams::new(structure)).unwrap())
+            };
+            let alone = build(1);
+            assert!(alone.nodes.len() > 10_000);
+            for threads in [2, 5] {
+                assert!(build(threads) == alone, "{structure:?}, {threads} threads");
+            }
         }
     }
 }
@@ -120,8 +135,11 @@ fn a_subtree_starts_with_its_larger_child() {
         let [x, y, z] = [0, 1, 2].map(|axis| blas.nodes[i].max[axis] - blas.nodes[i].min[axis]);
         x * y + y * z + z * x
     };
+    // Of those with two children nothing was left out below.
+    let end = |i: usize| (blas.nodes[i].escape_index as usize).min(blas.nodes.len());
     let inner = (0..blas.nodes.len()).filter(|&i| blas.nodes[i].primitives == PrimitiveRange::INNER);
-    let pairs: Vec<_> = inner.map(|i| (area(i + 1), area(blas.nodes[i + 1].escape_index as usize))).collect();
+    let pairs = inner.filter(|&i| end(end(i + 1)) == end(i));
+    let pairs: Vec<_> = pairs.map(|i| (area(i + 1), area(end(i + 1)))).collect();
     assert!(pairs.len() > 100);
     // Padding may turn around boxes of equal area.
     assert!(pairs.iter().all(|(first, second)| *first >= second * 0.9999));
@@ -174,4 +192,59 @@ fn validation_finds_every_kind_of_fault() {
         b.triangles[300].primitive = 300;
     };
     assert!(matches!(verdict(extra), Missing { primitive: 300 }));
+}
+
+#[test]
+fn validation_finds_what_is_missing_of_a_triangle() {
+    let good = Blas::build(&geometry(&Mesh::soup(1, 300)), &BuildParams::new(Structure::KdTree)).unwrap();
+    assert!(good.repeats && good.validate() == Ok(()));
+    let times = |primitive: u32| good.triangles.iter().filter(|t| t.primitive == primitive).count();
+    let repeated = (0..300).find(|&p| times(p) > 1).unwrap();
+    // Nothing is to repeat.
+    let mut once = good.clone();
+    once.repeats = false;
+    let verdict = once.validate();
+    assert!(matches!(verdict, Err(StructureError::Repeated { .. })), "{verdict:?}");
+    // A part after the other becomes another triangle that is there anyway: something is not covered, or twice in a leaf.
+    let mut found = 0;
+    for (i, _) in good.triangles.iter().enumerate().filter(|(_, t)| t.primitive == repeated) {
+        let mut spoilt = good.clone();
+        spoilt.triangles[i] = spoilt.triangles[if i == 0 { 1 } else { i - 1 }];
+        found += usize::from(spoilt.validate().is_err());
+    }
+    assert!(found * 2 > times(repeated), "{found} of {}", times(repeated));
+}
+
+#[test]
+fn every_point_of_a_triangle_is_in_a_leaf_that_holds_it() {
+    let (mut points, mut parts) = (0, 0);
+    for (seed, (name, mesh)) in adversarial().into_iter().enumerate() {
+        for structure in [Structure::Bvh(Quality::Best), Structure::KdTree] {
+            let blas = Blas::build(&geometry(&mesh), &BuildParams::new(structure)).unwrap();
+            parts += blas.stats().duplicate_count;
+            let mut leaves = vec![Vec::new(); mesh.indices.len()];
+            for node in blas.nodes.iter().filter(|node| node.primitives != PrimitiveRange::INNER) {
+                let first = node.primitives.first() as usize;
+                for triangle in &blas.triangles[first..][..node.primitives.count() as usize] {
+                    leaves[triangle.primitive as usize].push(node);
+                }
+            }
+            let mut random = Random(seed as u64);
+            for (primitive, leaves) in leaves.iter().enumerate().filter(|(_, leaves)| leaves.len() > 1) {
+                let [a, b, c] = mesh.triangle(primitive).map(|corner| corner.as_dvec3());
+                for _ in 0..20 {
+                    let (u, v) = (f64::from(random.unsigned()), f64::from(random.unsigned()));
+                    let (u, v) = if u + v > 1.0 { (1.0 - u, 1.0 - v) } else { (u, v) };
+                    let point = a + (b - a) * u + (c - a) * v;
+                    let contains = |node: &&&Node| {
+                        let [min, max] = [node.min, node.max].map(|corner| Vec3::from(corner).as_dvec3());
+                        min.cmple(point).all() && max.cmpge(point).all()
+                    };
+                    assert!(leaves.iter().any(|node| contains(&node)), "{name}, {structure:?}: {point}");
+                    points += 1;
+                }
+            }
+        }
+    }
+    assert!(points > 50_000 && parts > 3_000, "{points} points, {parts} parts");
 }

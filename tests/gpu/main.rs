@@ -7,6 +7,7 @@ mod agreement;
 mod device;
 mod failures;
 mod frame;
+mod layers;
 mod occlusion;
 mod resident;
 mod scene;

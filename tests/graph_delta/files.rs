@@ -71,7 +71,9 @@ fn what_is_no_scene_file_is_refused() {
         fs::write(&path, bytes).unwrap();
         Scene::load(&path).map(|scene| scene.validate().unwrap())
     };
-    let newer = [&bytes[..8], &2_u32.to_le_bytes(), &bytes[12..]].concat();
+    let of_version = |version: u32| [&bytes[..8], &version.to_le_bytes(), &bytes[12..]].concat();
+    let version = u32::from_le_bytes(bytes[8..12].try_into().unwrap());
+    let [newer, older] = [of_version(version + 1), of_version(version - 1)];
     let huge = [&bytes[..HEADER], &u64::MAX.to_le_bytes(), &bytes[HEADER + 8..]].concat();
     let mut damaged = bytes.clone();
     damaged[100] ^= 1;
@@ -80,6 +82,7 @@ fn what_is_no_scene_file_is_refused() {
         (b"".as_slice(), "NotAScene"),
         (b"{\"asset\": {}, \"x\": 1}", "NotAScene"),
         (&newer, "Newer"),
+        (&older, "Older"),
         (&huge, "Truncated"),
         (&damaged, "Checksum"),
     ] {

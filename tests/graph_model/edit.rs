@@ -1,6 +1,6 @@
 //! Random edits: what they do to the scene, what they ought to do to the model, and which error they ought to be.
 
-use glam::{DAffine3, DMat3, DVec3};
+use glam::{DAffine3, DMat3, DVec3, Vec3};
 use ropewalk::{
     Billboard, Camera, Core, CoreKey, CoreSource, Error, Geometry, GeometryKey, Keep, Material, MaterialKey, NodeKey,
     Object, Result, Scene, Texture, TextureKey, Transform,
@@ -24,6 +24,7 @@ pub(crate) enum Edit {
     EditCore(CoreKey, Core),
     AddGeometry(Geometry),
     SetGeometry(GeometryKey, Geometry),
+    SetPositions(GeometryKey, Vec<Vec3>, Option<Vec<Vec3>>),
     AddMaterial(Material),
     SetMaterial(MaterialKey, Material),
     AddTexture(Texture),
@@ -151,6 +152,11 @@ impl Edit {
                 not(!model.geometries.contains_key(key), Fault::Stale((*key).into()))?;
                 check_geometry(geometry)
             }
+            Self::SetPositions(key, positions, normals) => {
+                let old = model.geometries.get(key).ok_or(Fault::Stale((*key).into()))?;
+                not(old.positions.len() != positions.len(), Fault::Geometry)?;
+                check_geometry(&deformed(old, positions, normals.as_ref()))
+            }
             Self::AddMaterial(material) => check_material(material, model),
             Self::SetMaterial(key, material) => {
                 not(!model.materials.contains_key(key), Fault::Stale((*key).into()))?;
@@ -181,6 +187,9 @@ impl Edit {
             Self::SetVisible(key, visible) => scene.set_visible(key, visible).map(|()| None),
             Self::EditCore(key, core) => scene.edit_core(key, core).map(|()| None),
             Self::SetGeometry(key, geometry) => scene.set_geometry(key, geometry).map(|()| None),
+            Self::SetPositions(key, positions, normals) => {
+                scene.set_positions(key, positions, normals.map(Into::into)).map(|()| None)
+            }
             Self::SetMaterial(key, material) => scene.set_material(key, material).map(|()| None),
             Self::SetTexture(key, texture) => scene.set_texture(key, texture).map(|()| None),
             Self::RemoveUnused => {
@@ -245,6 +254,10 @@ impl Edit {
             (Self::AddGeometry(geometry), Some(Object::Geometry(key))) | (Self::SetGeometry(key, geometry), _) => {
                 let _ = model.geometries.insert(key, geometry);
             }
+            (Self::SetPositions(key, positions, normals), _) => {
+                let geometry = model.geometries.get_mut(&key).unwrap();
+                *geometry = deformed(geometry, &positions, normals.as_ref());
+            }
             (Self::AddMaterial(material), Some(Object::Material(key))) | (Self::SetMaterial(key, material), _) => {
                 let _ = model.materials.insert(key, material);
             }
@@ -256,6 +269,11 @@ impl Edit {
         }
         model.collect(false);
     }
+}
+
+fn deformed(old: &Geometry, positions: &[Vec3], normals: Option<&Vec<Vec3>>) -> Geometry {
+    let normals = normals.map(|normals| normals.as_slice().into()).or_else(|| old.normals.clone());
+    Geometry { positions: positions.into(), normals, ..old.clone() }
 }
 
 fn not(wrong: bool, fault: Fault) -> Result<(), Fault> {
@@ -303,7 +321,8 @@ fn check_core(core: &Core, model: &Model) -> Result<(), Fault> {
 
 fn check_geometry(geometry: &Geometry) -> Result<(), Fault> {
     let broken = geometry.positions.iter().any(|p| p.is_nan()) || geometry.indices.iter().flatten().any(|&i| i > 4);
-    not(broken, Fault::Geometry)
+    let normals = geometry.normals.as_ref().map_or(geometry.positions.len(), |normals| normals.len());
+    not(broken || normals != geometry.positions.len(), Fault::Geometry)
 }
 
 fn check_material(material: &Material, model: &Model) -> Result<(), Fault> {

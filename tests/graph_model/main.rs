@@ -22,7 +22,7 @@ use reader::Reader;
 const READERS: usize = 3;
 
 /// Each edit, with the errors that it can end with.
-const FAULTS: [(&str, &[&str]); 17] = [
+const FAULTS: [(&str, &[&str]); 18] = [
     ("Add", &["Cycle", "OutOfRange", "Stale"]),
     ("AddCore", &["OutOfRange", "Stale"]),
     ("AddGeometry", &["Geometry"]),
@@ -38,6 +38,7 @@ const FAULTS: [(&str, &[&str]); 17] = [
     ("SetMask", &["Stale"]),
     ("SetMaterial", &["OutOfRange", "Stale"]),
     ("SetName", &["Stale"]),
+    ("SetPositions", &["Geometry", "Stale"]),
     ("SetTexture", &["OutOfRange", "Stale"]),
     ("SetVisible", &["Stale"]),
 ];

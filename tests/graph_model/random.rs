@@ -6,7 +6,7 @@ use glam::{DAffine3, DMat3, DQuat, DVec3, Vec3, Vec4};
 use proptest::prelude::*;
 use ropewalk::{
     Billboard, Camera, Core, CoreKey, Geometry, GeometryKey, Keep, Light, LightKind, Lod, Material, MaterialKey,
-    NodeKey, Object, Scene, Switch, Texture, TextureKey, TextureRef, Transform,
+    NodeKey, Object, Scene, Structure, Switch, Texture, TextureKey, TextureRef, Transform,
 };
 
 use crate::edit::Edit;
@@ -76,7 +76,8 @@ impl Issued {
             17 => Edit::SetVisible(node(a), value % 2 == 0),
             18 => Edit::EditCore(core_key(a), core()),
             19 | 24 if value % 2 == 1 => Edit::AddGeometry(geometry(value / 2)),
-            19 | 24 => Edit::SetGeometry(geometry_key(a), geometry(value / 2)),
+            19 | 24 if value % 4 == 0 => Edit::SetGeometry(geometry_key(a), geometry(value / 4)),
+            19 | 24 => set_positions(geometry_key(a), value / 4),
             20 | 25 | 26 if value % 2 == 1 => Edit::AddMaterial(material(value / 2, texture_ref)),
             20 | 25 | 26 => Edit::SetMaterial(material_key(a), material(value / 2, texture_ref)),
             21 | 27 | 28 if value % 2 == 1 => Edit::AddTexture(texture(value / 2)),
@@ -168,8 +169,21 @@ fn geometry(value: u8) -> Geometry {
         0 => Geometry::default(),
         1 => Geometry::new(positions, [[0, 1, 5]]),
         2 => Geometry::new([Vec3::NAN, Vec3::X, Vec3::Y], [[0, 1, 2]]),
-        3 => Geometry::new(positions, [[0, 1, 2]]),
+        3 => Geometry::new(positions, [[0, 1, 2]]).with_structure(Structure::KdTree),
         _ => Geometry::new(positions, [[0, 1, 2], [0, 3, 2]]),
+    }
+}
+
+/// Most geometries have five vertices.
+fn set_positions(key: GeometryKey, value: u8) -> Edit {
+    let x = f32::from(value % 4);
+    let positions = [Vec3::ZERO, Vec3::X * x, Vec3::Y, Vec3::Z, Vec3::ONE];
+    match value / 4 % 8 {
+        0 => Edit::SetPositions(key, vec![Vec3::NAN; 5], None),
+        1 => Edit::SetPositions(key, positions[..4].to_vec(), None),
+        2 => Edit::SetPositions(key, positions.to_vec(), Some(vec![Vec3::X; value as usize % 8])),
+        3 => Edit::SetPositions(key, positions.to_vec(), Some(vec![Vec3::Y; 5])),
+        _ => Edit::SetPositions(key, positions.to_vec(), None),
     }
 }
 

@@ -1,7 +1,8 @@
 //! Compiled scenes in canonical order: the same scene gives the same value however its arrays came about.
 
+use glam::{BVec3, DVec3, Vec3, Vec4};
 use ropewalk::device::DeviceArrays;
-use ropewalk::device::layout::{Instance, Light, Material, NONE, Node, Streams, TextureInfo, Triangle};
+use ropewalk::device::layout::{Instance, Light, Material, NONE, Node, Streams, TextureInfo, Triangle, WideNode};
 
 /// Everything that a kernel can reach in some arrays, with places replaced by contents. Compares bit by bit.
 #[derive(Debug, PartialEq)]
@@ -10,15 +11,18 @@ pub(crate) struct Canonical {
     instances: Vec<CanonicalInstance>,
     /// Sorted.
     lights: Vec<Vec<u8>>,
+    /// What no structure may be.
+    fault: Option<String>,
 }
 
 #[derive(Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct CanonicalInstance {
     /// The record without its indices.
     record: Vec<u8>,
-    /// The box of its leaf.
+    /// The box of its leaf, and the bottom-level nodes; empty where only what they hold counts.
     bounds: Vec<u8>,
     blas_nodes: Vec<u8>,
+    /// In leaf order or, where only what the structure holds counts, in that of the geometry, each once.
     triangles: Vec<u8>,
     /// Indices and streams of the geometry, one after the other.
     streams: Vec<Vec<u8>>,
@@ -27,24 +31,36 @@ struct CanonicalInstance {
 }
 
 impl Canonical {
-    /// The canonical form of compiled arrays.
+    /// The canonical form of compiled arrays, whatever structures there are above the triangles: those must be sound.
     pub(crate) fn of(arrays: &DeviceArrays) -> Self {
+        Self::new(arrays, false)
+    }
+
+    /// The same with all bottom-level structures, node for node, and the boxes of instances.
+    pub(crate) fn exactly(arrays: &DeviceArrays) -> Self {
+        Self::new(arrays, true)
+    }
+
+    fn new(arrays: &DeviceArrays, exact: bool) -> Self {
         let leaves = arrays.tlas_nodes.iter().filter(|node| node.primitives.count() > 0);
         let mut instances: Vec<CanonicalInstance> = leaves
             .filter_map(|leaf| {
                 let record = arrays.instances.get(leaf.primitives.first() as usize)?;
-                Some(canonical_instance(arrays, record, leaf))
+                Some(canonical_instance(arrays, record, leaf, exact))
             })
             .collect();
         instances.sort();
         let lights: &[Light] = &arrays.lights;
         let mut lights: Vec<Vec<u8>> = lights.iter().map(|light| bytes(&[*light])).collect();
         lights.sort();
-        Self { instances, lights }
+        Self { instances, lights, fault: fault(arrays) }
     }
 
     /// The first part that differs, by name; `None` if nothing does.
     pub(crate) fn difference(&self, other: &Self) -> Option<String> {
+        if let Some(fault) = self.fault.as_ref().or(other.fault.as_ref()) {
+            return Some(fault.clone());
+        }
         if self.lights != other.lights {
             return Some("lights".to_owned());
         }
@@ -70,11 +86,13 @@ impl Canonical {
     }
 }
 
-fn canonical_instance(arrays: &DeviceArrays, instance: &Instance, leaf: &Node) -> CanonicalInstance {
-    let nodes = reachable(&arrays.blas_nodes[instance.first_node as usize..]);
-    let triangle_count =
-        nodes.iter().map(|n| (n.primitives.first() + n.primitives.count()) as usize).max().unwrap_or(0);
-    let triangles = &arrays.triangles[instance.first_triangle as usize..][..triangle_count];
+fn canonical_instance(arrays: &DeviceArrays, instance: &Instance, leaf: &Node, exact: bool) -> CanonicalInstance {
+    let (nodes, triangles) = structure(arrays, instance);
+    let mut triangles = triangles.to_vec();
+    if !exact {
+        triangles.sort_by_key(|triangle| triangle.primitive);
+        triangles.dedup_by_key(|triangle| triangle.primitive);
+    }
     let material = arrays.materials[instance.material as usize];
     let texture_indices = [
         material.base_color_texture,
@@ -94,13 +112,120 @@ fn canonical_instance(arrays: &DeviceArrays, instance: &Instance, leaf: &Node) -
     };
     CanonicalInstance {
         record: bytes(&[record]),
-        bounds: bytes(&[leaf.min, leaf.max]),
-        blas_nodes: bytes(nodes),
-        triangles: bytes(triangles),
-        streams: canonical_streams(arrays, &arrays.geometries[instance.geometry as usize], triangles),
+        bounds: if exact { bytes(&[leaf.min, leaf.max]) } else { Vec::new() },
+        blas_nodes: if exact { bytes(nodes) } else { Vec::new() },
+        triangles: bytes(&triangles),
+        streams: canonical_streams(arrays, &arrays.geometries[instance.geometry as usize], &triangles),
         material: bytes(&[material]),
         textures: texture_indices.iter().map(|&i| canonical_texture(arrays, i)).collect(),
     }
+}
+
+/// The nodes and triangles of an instance.
+fn structure<'a>(arrays: &'a DeviceArrays, instance: &Instance) -> (&'a [Node], &'a [Triangle]) {
+    let nodes = reachable(&arrays.blas_nodes[instance.first_node as usize..]);
+    let triangle_count =
+        nodes.iter().map(|n| (n.primitives.first() + n.primitives.count()) as usize).max().unwrap_or(0);
+    (nodes, &arrays.triangles[instance.first_triangle as usize..][..triangle_count])
+}
+
+/// A bottom-level structure in which some ray would not find a triangle, or an instance whose box is not around it or larger
+/// than that of its turned local box.
+fn fault(arrays: &DeviceArrays) -> Option<String> {
+    let leaves = arrays.tlas_nodes.iter().filter(|node| node.primitives.count() > 0);
+    leaves.filter_map(|leaf| Some((leaf, arrays.instances.get(leaf.primitives.first() as usize)?))).find_map(
+        |(leaf, instance)| {
+            let (nodes, triangles) = structure(arrays, instance);
+            if let Some(index) = broken_node(nodes, triangles) {
+                return Some(format!("node {index} of {}: {:?}", nodes.len(), nodes[index]));
+            }
+            let first_wide = arrays.geometries[instance.geometry as usize].first_wide_node;
+            if first_wide != NONE
+                && let Some(wide) = broken_wide_node(&arrays.wide_nodes[first_wide as usize..], triangles)
+            {
+                return Some(format!("a wide node: {wide:?}"));
+            }
+            let world = |p: Vec3| {
+                let rows = instance.world_from_local.map(|row| Vec4::from(row).as_dvec4());
+                DVec3::from(rows.map(|row| row.dot(p.extend(1.0).as_dvec4())))
+            };
+            let corners = || triangles.iter().flat_map(|t| [t.v0, t.v1, t.v2]).map(Vec3::from);
+            let (local_min, local_max) = (corners().fold(Vec3::MAX, Vec3::min), corners().fold(Vec3::MIN, Vec3::max));
+            let of_box =
+                (0..8).map(|i| Vec3::select(BVec3::new(i & 1 == 0, i & 2 == 0, i & 4 == 0), local_min, local_max));
+            let [least, most] = [corners().map(world).collect::<Vec<_>>(), of_box.map(world).collect()];
+            let [least, most] = [least, most].map(|points| {
+                let max = points.iter().copied().fold(DVec3::MIN, DVec3::max);
+                (points.into_iter().fold(DVec3::MAX, DVec3::min), max)
+            });
+            let (min, max) = (Vec3::from(leaf.min).as_dvec3(), Vec3::from(leaf.max).as_dvec3());
+            let slack = DVec3::splat(1e-4 * min.abs().max(max.abs()).max_element());
+            let is_around = min.cmple(least.0 + slack) & max.cmpge(least.1 - slack);
+            let is_tight = min.cmpge(most.0 - slack) & max.cmple(most.1 + slack);
+            (!(is_around & is_tight).all())
+                .then(|| format!("the box of an instance, {leaf:?}, around {least:?} in {most:?}"))
+        },
+    )
+}
+
+/// A wide node with a child that sticks out of its planes, if there is one, or if some triangle is below none.
+fn broken_wide_node(nodes: &[WideNode], triangles: &[Triangle]) -> Option<WideNode> {
+    // Each with the boxes around it.
+    let mut open = vec![(0, Vec::new())];
+    let mut found = 0;
+    while let Some((index, above)) = open.pop() {
+        let node = nodes[index];
+        for slot in (0..8).filter(|slot| node.exponents[3] >> slot & 1 != 0) {
+            let plane = |axis: usize, side: usize| {
+                let step = f64::from(f32::from_bits(u32::from(node.exponents[axis]) << 23));
+                f64::from(node.origin[axis]) + f64::from(node.planes[axis][side][slot]) * step
+            };
+            let [min, max] = [0, 1].map(|side| DVec3::from([0, 1, 2].map(|axis| plane(axis, side))));
+            let around: Vec<_> = above.iter().copied().chain([(min, max)]).collect();
+            let (first, count) = (node.children[slot].first() as usize, node.children[slot].count() as usize);
+            if count == 0 {
+                open.push((first, around));
+                continue;
+            }
+            found += count;
+            let corners = triangles[first..first + count].iter().flat_map(|t| [t.v0, t.v1, t.v2]);
+            for corner in corners.map(|corner| Vec3::from(corner).as_dvec3()) {
+                if around.iter().any(|(min, max)| !(corner.cmpgt(*min) & corner.cmplt(*max)).all()) {
+                    return Some(node);
+                }
+            }
+        }
+    }
+    (found != triangles.len()).then_some(nodes[0])
+}
+
+/// The first node whose subtree ends outside its parent's, or whose box a triangle below it sticks out of.
+fn broken_node(nodes: &[Node], triangles: &[Triangle]) -> Option<usize> {
+    let end = |node: &Node| if node.escape_index == NONE { nodes.len() } else { node.escape_index as usize };
+    let mut above: Vec<usize> = Vec::new();
+    for (index, node) in nodes.iter().enumerate() {
+        while above.last().is_some_and(|&parent| end(&nodes[parent]) <= index) {
+            above.pop();
+        }
+        let limit = above.last().map_or(nodes.len(), |&parent| end(&nodes[parent]));
+        if end(node) <= index || end(node) > limit {
+            return Some(index);
+        }
+        above.push(index);
+        let (first, count) = (node.primitives.first() as usize, node.primitives.count() as usize);
+        if count > 0 && (end(node) != index + 1 || first + count > triangles.len()) {
+            return Some(index);
+        }
+        let corners = triangles[first..first + count].iter().flat_map(|t| [t.v0, t.v1, t.v2]).map(Vec3::from);
+        for corner in corners {
+            let sticks_out =
+                |&&i: &&usize| !(corner.cmpgt(nodes[i].min.into()) & corner.cmplt(nodes[i].max.into())).all();
+            if let Some(&broken) = above.iter().find(sticks_out) {
+                return Some(broken);
+            }
+        }
+    }
+    None
 }
 
 /// The nodes of the hierarchy that starts at `nodes[0]`: up to the last one whose escape index is the end.

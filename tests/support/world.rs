@@ -1,12 +1,13 @@
 //! A scene under random edits of every kind.
 
+use std::f32::consts::{PI, TAU};
 use std::sync::Arc;
 
 use glam::{DQuat, DVec3, Vec2, Vec3, Vec4};
 use proptest::prelude::*;
 use ropewalk::{
     AlphaMode, Billboard, Camera, Core, Geometry, GeometryKey, Keep, Light, LightKind, Lod, Material, MaterialKey,
-    NodeKey, Scene, Switch, Texture, TextureKey, TextureRef, Transform,
+    NodeKey, Quality, Scene, Structure, Switch, Texture, TextureKey, TextureRef, Transform,
 };
 
 /// One random edit; numbers choose among what there is.
@@ -23,6 +24,8 @@ pub(crate) enum Edit {
     SetVisible(usize, bool),
     SetMaterial(usize, usize),
     SetGeometry(usize, usize),
+    Deform(usize, u8),
+    Choose(usize, usize),
     SetTexture(usize, u8),
     SwapCore(usize, usize, usize),
     ChangeCore(usize, usize, usize),
@@ -41,10 +44,20 @@ pub(crate) fn edit() -> impl Strategy<Value = Edit> {
         1 => (n.clone(), any::<u32>()).prop_map(|(a, m)| Edit::SetMask(a, m)),
         2 => (n.clone(), any::<bool>()).prop_map(|(a, v)| Edit::SetVisible(a, v)),
         2 => (n.clone(), n.clone()).prop_map(|(a, b)| Edit::SetMaterial(a, b)),
-        1 => (n.clone(), n.clone()).prop_map(|(a, b)| Edit::SetGeometry(a, b)),
         1 => (n.clone(), any::<u8>()).prop_map(|(a, t)| Edit::SetTexture(a, t)),
         2 => (n.clone(), n.clone(), n.clone()).prop_map(|(a, b, c)| Edit::SwapCore(a, b, c)),
         3 => (n.clone(), n.clone(), n).prop_map(|(a, b, c)| Edit::ChangeCore(a, b, c)),
+    ]
+}
+
+/// The same, and geometries that change: mostly, they deform.
+pub(crate) fn edit_with_geometries() -> impl Strategy<Value = Edit> {
+    let n = 0usize..64;
+    prop_oneof![
+        12 => edit(),
+        1 => (n.clone(), n.clone()).prop_map(|(a, b)| Edit::SetGeometry(a, b)),
+        6 => (n.clone(), any::<u8>()).prop_map(|(a, b)| Edit::Deform(a, b)),
+        1 => (n.clone(), n).prop_map(|(a, b)| Edit::Choose(a, b)),
     ]
 }
 
@@ -131,6 +144,22 @@ impl World {
             Edit::SetGeometry(which, value) => {
                 let key = self.geometry(which);
                 self.scene.set_geometry(key, mesh(value)).unwrap();
+            }
+            Edit::Deform(which, value) => {
+                let key = self.geometry(which);
+                let geometry = self.scene.geometry(key).unwrap();
+                let (positions, mut normals) = (deformed(&geometry.positions, value), None);
+                if value & 2 == 0 && geometry.normals.is_some() {
+                    normals = Some(positions.iter().map(|p| p.normalize_or(Vec3::Z)).collect());
+                }
+                self.scene.set_positions(key, positions, normals).unwrap();
+            }
+            Edit::Choose(which, structure) => {
+                let key = self.geometry(which);
+                let bvh = |quality| Some(Structure::Bvh(quality));
+                let choices = [None, bvh(Quality::Fast), bvh(Quality::Best), Some(Structure::KdTree)];
+                let geometry = self.scene.geometry(key).unwrap().clone().with_structure(choices[structure % 4]);
+                self.scene.set_geometry(key, geometry).unwrap();
             }
             Edit::SetTexture(which, value) => {
                 let key = self.texture(which);
@@ -232,18 +261,47 @@ fn texture(i: u8) -> Texture {
     Texture { width: 2, height: 1, texels: Arc::new([[i, 1, 2, 255], [3, i, 5, 128]]) }
 }
 
-/// A tetrahedron with the streams that `i` says.
+/// A tetrahedron or, for some, a sphere of many triangles, with the streams that `i` says.
 pub(crate) fn mesh(i: usize) -> Geometry {
     let corner = 1.0 + i as f32 * 0.1;
-    let mut geometry =
-        Geometry::new([Vec3::ZERO, Vec3::X * corner, Vec3::Y, Vec3::Z], [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]);
+    let tetrahedron = ([Vec3::ZERO, Vec3::X * corner, Vec3::Y, Vec3::Z], [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]);
+    let mut geometry = if i % 4 == 3 { sphere(corner) } else { Geometry::new(tetrahedron.0, tetrahedron.1) };
+    let vertex_count = geometry.positions.len();
+    let colors = [Vec4::ONE, Vec4::X, Vec4::Y, Vec4::splat(0.25)];
+    let [tex_coords, reversed] = [[Vec2::ZERO, Vec2::X, Vec2::Y, Vec2::ONE], [Vec2::ONE, Vec2::X, Vec2::Y, Vec2::ZERO]];
     if i & 1 != 0 {
-        geometry.normals = Some(Arc::new([Vec3::X, Vec3::Y, Vec3::Z, Vec3::NEG_X]));
-        geometry.tex_coords[0] = Some(Arc::new([Vec2::ZERO, Vec2::X, Vec2::Y, Vec2::ONE]));
+        let normals = [Vec3::X, Vec3::Y, Vec3::Z, Vec3::NEG_X];
+        geometry.normals = Some((0..vertex_count).map(|v| normals[v % 4]).collect());
+        geometry.tex_coords[0] = Some((0..vertex_count).map(|v| tex_coords[v % 4]).collect());
     }
     if i & 2 != 0 {
-        geometry.tex_coords[1] = Some(Arc::new([Vec2::ONE, Vec2::X, Vec2::Y, Vec2::ZERO]));
-        geometry.colors = Some(Arc::new([Vec4::ONE, Vec4::X, Vec4::Y, Vec4::splat(0.25)]));
+        geometry.tex_coords[1] = Some((0..vertex_count).map(|v| reversed[v % 4]).collect());
+        geometry.colors = Some((0..vertex_count).map(|v| colors[v % 4]).collect());
     }
     geometry
+}
+
+/// 12 x 10 quads around, those at the poles without area on one side.
+fn sphere(radius: f32) -> Geometry {
+    let point = |i: usize| {
+        let (u, v) = ((i % 13) as f32 / 12.0 * TAU, (i / 13) as f32 / 10.0 * PI);
+        let ring = if i / 13 % 10 == 0 { 0.0 } else { v.sin() };
+        Vec3::new(ring * u.cos(), v.cos(), ring * u.sin()) * radius
+    };
+    let cells = (0..120u32).map(|cell| cell / 12 * 13 + cell % 12);
+    let triangles = cells.flat_map(|a| [[a, a + 1, a + 14], [a, a + 14, a + 13]]);
+    Geometry::new((0..143).map(point).collect::<Vec<_>>(), triangles.collect::<Vec<_>>())
+}
+
+/// Waves, mostly. Some pinch a triangle, some tear all triangles apart.
+fn deformed(positions: &[Vec3], value: u8) -> Vec<Vec3> {
+    let phase = f32::from(value) * 0.1;
+    let wave = |p: &Vec3| *p + 0.1 * Vec3::new((p.y * 3.0 + phase).sin(), (p.z * 2.0 + phase).cos(), phase.sin());
+    let mut deformed: Vec<Vec3> = positions.iter().map(wave).collect();
+    match value % 16 {
+        0 => deformed[1] = deformed[0],
+        1 => deformed.iter_mut().for_each(|p| p.x += 4.0 * (p.dot(Vec3::new(12.9, 78.2, 37.7)).sin() * 437.5).fract()),
+        _ => {}
+    }
+    deformed
 }

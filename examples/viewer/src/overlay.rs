@@ -66,7 +66,10 @@ fn lines(report: &FrameReport, detail: Option<Detail>) -> Vec<String> {
         rays,
         format!("{} instances · {} triangles", grouped(compile.instances), grouped(compile.scene_triangles)),
         format!("top level {}", compile.tlas),
-        format!("bottom level: {} built of {}", compile.blas_built, compile.blas_count),
+        format!(
+            "bottom level: {} built, {} refitted of {}",
+            compile.blas_built, compile.blas_refitted, compile.blas_count
+        ),
         format!("{} bytes uploaded", grouped(report.uploaded_bytes as usize)),
         format!(
             "update {} · build {} · upload {}",

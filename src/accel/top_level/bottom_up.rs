@@ -6,7 +6,8 @@ use glam::Vec4;
 use rayon::prelude::*;
 
 use super::cost::Areas;
-use super::{flatten, leaves};
+use super::flatten;
+use crate::accel::cluster::finite;
 use crate::accel::stats::half_area;
 use crate::device::DeviceBuffer;
 use crate::device::layout::{NONE, Node, PrimitiveRange};
@@ -102,7 +103,7 @@ fn refit_subtree(nodes: &mut [Node], start: usize, boxes: &[Aabb]) -> Refitted {
     }
     for (index, bounds) in &fetched[..leaf_count] {
         let old = nodes[*index];
-        let node = leaves::finite(bounds).map_or(old, |b| flatten::leaf(old.primitives.first(), &b, old.escape_index));
+        let node = finite(bounds).map_or(old, |b| flatten::leaf(old.primitives.first(), &b, old.escape_index));
         refitted.areas.leaves += half_area(&node);
         refitted.write(nodes, *index, &node);
     }

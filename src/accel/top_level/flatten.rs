@@ -1,10 +1,10 @@
 //! From merged clusters to device nodes in depth-first order.
 
 use super::bottom_up::around;
-use super::cluster::Tree;
 use super::cost::Areas;
 use super::leaves::Leaves;
 
+use crate::accel::cluster::{self, Joint, Kind, Member, Order};
 use crate::accel::flatten::padded;
 use crate::device::layout::{NONE, Node, PrimitiveRange};
 use crate::math::Aabb;
@@ -21,6 +21,65 @@ pub(super) fn leaf(slot: u32, bounds: &Aabb, escape_index: u32) -> Node {
     bytemuck::cast([min.extend(lane(escape_index)), max.extend(lane(primitives))])
 }
 
+/// What was merged into what.
+pub(super) struct Tree {
+    order: Order,
+    links: Vec<Link>,
+    root: Option<Member>,
+}
+
+/// A merged cluster.
+#[derive(Clone, Copy, bytemuck::Zeroable)]
+struct Link {
+    /// The places of single boxes; numbers of links with [`LINK`] set.
+    children: [u32; 2],
+    leaf_count: u32,
+}
+
+/// Numbers are below 2^29.
+const LINK: u32 = 1 << 31;
+
+impl Joint for Link {
+    fn new(children: [Member; 2], links: &[Self], first: usize) -> Self {
+        let leaves = |child: &Member| match child.kind {
+            Kind::Single(_) => 1,
+            Kind::Merged(link) => links[link - first].leaf_count,
+        };
+        let leaf_count = children.iter().map(leaves).sum();
+        Self { children: children.map(Link::number), leaf_count }
+    }
+}
+
+impl Link {
+    fn number(cluster: Member) -> u32 {
+        match cluster.kind {
+            Kind::Single(place) => place as u32,
+            Kind::Merged(link) => link as u32 | LINK,
+        }
+    }
+}
+
+impl Tree {
+    /// Of boxes in their order.
+    pub(super) fn new(order: Order) -> Self {
+        let mut links = bytemuck::zeroed_vec(order.len());
+        let root = cluster::build(&order, &mut links);
+        Self { order, links, root }
+    }
+
+    pub(super) fn leaf_count(&self) -> usize {
+        self.order.len()
+    }
+
+    fn link(&self, number: u32) -> Option<&Link> {
+        (number & LINK != 0).then(|| &self.links[(number & !LINK) as usize])
+    }
+
+    fn leaves_below(&self, number: u32) -> u32 {
+        self.link(number).map_or(1, |link| link.leaf_count)
+    }
+}
+
 /// How many nodes `tree` gives with `room` unused leaves beside it.
 pub(super) fn node_count(tree: &Tree, room: usize) -> usize {
     (2 * tree.leaf_count()).saturating_sub(1) + 2 * room
@@ -29,7 +88,7 @@ pub(super) fn node_count(tree: &Tree, room: usize) -> usize {
 /// Writes nodes and their parents, and puts the instances in leaves. Unused leaves come first, in a subtree of their own: the
 /// last node is always in use.
 pub(super) fn flatten(tree: &Tree, room: usize, nodes: &mut [Node], parents: &mut [u32], leaves: &mut Leaves) -> Areas {
-    let Some(root) = tree.root() else { return Areas::default() };
+    let Some(root) = tree.root.map(Link::number) else { return Areas::default() };
     let emitter = Emitter { tree, leaves };
     if room == 0 {
         let mut areas = emitter.emit(root, Place::ROOT, nodes, parents);
@@ -82,7 +141,8 @@ impl Emitter<'_> {
     fn emit(&self, cluster: u32, place: Place, nodes: &mut [Node], parents: &mut [u32]) -> Areas {
         parents[0] = place.parent;
         let Some(link) = self.tree.link(cluster) else {
-            let (slot, bounds) = self.tree.instance(cluster);
+            let single = &self.tree.order.boxes()[cluster as usize];
+            let (slot, bounds) = (single.slot(), single.bounds());
             self.leaves.put(slot, place.index);
             nodes[0] = leaf(slot, &bounds, place.escape_index);
             return Areas::default();

@@ -3,10 +3,7 @@
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
-use glam::Vec3;
-
 use crate::device::layout::NONE;
-use crate::math::Aabb;
 
 /// The leaf of each slot, and the unused leaves, by node index.
 #[derive(Debug, Default)]
@@ -108,13 +105,4 @@ impl Leaves {
 /// How many unused leaves to build beside `used`.
 pub(super) fn room(used: usize) -> usize {
     (used / 64).max((used / 4).min(8))
-}
-
-/// A box cut to the range of `f32`, if there is something in it.
-#[inline]
-pub(super) fn finite(bounds: &Aabb) -> Option<Aabb> {
-    let farthest = Vec3::splat(f32::MAX);
-    let cut =
-        |bounds: &Aabb| Aabb { min: bounds.min.clamp(-farthest, farthest), max: bounds.max.clamp(-farthest, farthest) };
-    (!bounds.is_empty()).then(|| cut(bounds))
 }

@@ -4,18 +4,15 @@
 //!
 //! - A few boxes changed: their leaves are patched, and of their ancestors those whose box changes (`bottom_up`).
 //! - Many changed: one pass over all nodes, children before parents (`bottom_up`).
-//! - The hierarchy has become bad, or has no room: a new one (`morton`, `cluster`, `flatten`).
+//! - The hierarchy has become bad, or has no room: a new one (`accel::cluster`, `flatten`).
 //!
 //! Instances come and go without a rebuild: a leaf that loses its instance stays as an [unused](Node::unused) one, and takes
 //! the next that comes (`leaves`). In a scene where that has happened, a rebuild leaves some room.
 
 mod bottom_up;
-mod cluster;
 mod cost;
 mod flatten;
 mod leaves;
-mod morton;
-mod radix;
 
 use std::collections::BinaryHeap;
 use std::fmt;
@@ -24,7 +21,7 @@ use serde::Serialize;
 
 use self::cost::Cost;
 use self::leaves::Leaves;
-use self::morton::Order;
+use super::cluster::{self, Order, finite};
 use super::stats::Stats;
 use super::validate::{StructureError, check_nodes};
 use crate::device::DeviceBuffer;
@@ -151,7 +148,7 @@ impl TopLevel {
         // 1. Instances that are near each other in space become near each other in an array.
         let order = Order::new(boxes);
         // 2. Neighbours merge, until one cluster is left.
-        let tree = cluster::build(order);
+        let tree = flatten::Tree::new(order);
         // 3. Device nodes.
         let room = if self.leaves_room { leaves::room(tree.leaf_count()) } else { 0 };
         let len = flatten::node_count(&tree, room);
@@ -245,14 +242,14 @@ impl TopLevel {
     pub fn validate(&self, nodes: &[Node], boxes: &[Aabb]) -> Result<(), StructureError> {
         let mut found = vec![false; boxes.len()];
         check_nodes(nodes, |range| {
-            let bounds = boxes.get(range.first() as usize).and_then(leaves::finite)?;
+            let bounds = boxes.get(range.first() as usize).and_then(finite)?;
             let is_new = range.count() == 1 && !std::mem::replace(&mut found[range.first() as usize], true);
             is_new.then_some(bounds)
         })?;
         for ((slot, found), bounds) in (0..).zip(found).zip(boxes) {
             let leaf = self.leaves.leaf(slot);
             let is_known = leaf.is_some_and(|leaf| nodes[leaf as usize].primitives == PrimitiveRange::leaf(slot, 1));
-            let expected = leaves::finite(bounds).is_some();
+            let expected = finite(bounds).is_some();
             if found != expected || is_known != expected {
                 return Err(StructureError::Missing { primitive: slot });
             }
@@ -269,7 +266,7 @@ impl TopLevel {
         slot: u32,
         refits: bool,
     ) -> Result<bool, Rebuild> {
-        let bounds = boxes.get(slot as usize).and_then(leaves::finite);
+        let bounds = boxes.get(slot as usize).and_then(finite);
         let leaf = match (self.leaves.leaf(slot), bounds) {
             (None, None) => return Ok(false),
             (Some(_), Some(_)) if refits => return Ok(true),

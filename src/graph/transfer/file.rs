@@ -11,8 +11,8 @@ use crate::{Error, Result};
 /// What a scene file or recording begins with.
 const MAGIC: [u8; 8] = *b"ROPEWALK";
 
-/// The version of the format that is written, and the newest that is read.
-const VERSION: u32 = 1;
+/// The version of the format: the only one that is read.
+const VERSION: u32 = 2;
 
 /// What is wrong with a scene file or recording.
 #[derive(Debug, thiserror::Error)]
@@ -27,6 +27,14 @@ pub enum SceneFileFault {
         /// The version of its format.
         found: u32,
         /// The newest that can be read.
+        supported: u32,
+    },
+    /// A version of Ropewalk wrote it whose format is not read any more.
+    #[error("format version {found} is older than {supported}, the oldest that this version of Ropewalk reads")]
+    Older {
+        /// The version of its format.
+        found: u32,
+        /// The oldest that can be read.
         supported: u32,
     },
     /// It ends too early: the copy is incomplete, or the program that wrote it was ended.
@@ -141,6 +149,7 @@ pub(super) fn read_header(file: &mut impl Read) -> Result<(), ReadFault> {
     }
     match u32_at(version, 0) {
         found if found > VERSION => Err(SceneFileFault::Newer { found, supported: VERSION }.into()),
+        found if found < VERSION => Err(SceneFileFault::Older { found, supported: VERSION }.into()),
         _ => Ok(()),
     }
 }

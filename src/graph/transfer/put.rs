@@ -150,16 +150,7 @@ impl Scene {
                 self.record(key, Change::ADDED);
             }
             Some(old) if old.value.geometry.is_same(geometry) => {}
-            Some(old) => {
-                let stored = StoredGeometry::of_valid(geometry.clone(), old.value.version + 1);
-                let resized = old.value.bounds != stored.bounds;
-                self.touch(key);
-                self.geometries[key].value = stored;
-                if resized {
-                    self.boxes_changed(key);
-                }
-                self.record(key, Change::DATA);
-            }
+            Some(_) => self.replace_geometry(key, geometry.clone()),
         }
     }
 

@@ -7,7 +7,7 @@ use super::packet::{LANES, LocalPacket, Packet, walk_packet};
 use super::single::{Candidate, Stack, local_ray, walk};
 use super::top::{walk_top, walk_top_packet};
 use crate::device::layout::{Hit, Instance, InstanceFlags, NONE, Ray};
-use crate::trace::kernel::{KernelScene, is_closer, is_hole, max_component, passes_at};
+use crate::trace::kernel::{KernelScene, is_closer, is_hole, is_layered, max_component, passes_at};
 
 /// What is asked of a ray: told of everything that it crosses, near or far, it says how far the ray goes on.
 pub(super) trait Query: Copy {
@@ -97,20 +97,26 @@ impl Query for Any {
 pub(super) struct Transmittance {
     t_max: f32,
     pub(super) light: Vec3,
+    /// Whether there are layered instances, which are left out.
+    pub(super) has_layers: bool,
 }
 
 impl Query for Transmittance {
     #[inline(always)]
     fn start(t_max: f32) -> Self {
-        Self { t_max, light: Vec3::ONE }
+        Self { t_max, light: Vec3::ONE, has_layers: false }
     }
 
     #[inline(always)]
     fn cross(&mut self, scene: &KernelScene<'_>, _: u32, instance: &Instance, candidate: &Candidate) {
+        if is_layered(instance.flags) {
+            self.has_layers = true;
+            return;
+        }
         let triangle = &scene.triangles[candidate.triangle as usize];
         self.light *= passes_at(scene, instance, triangle, candidate.u, candidate.v);
         if max_component(self.light) <= 0.0 {
-            *self = Self { t_max: f32::NEG_INFINITY, light: Vec3::ZERO };
+            *self = Self { t_max: f32::NEG_INFINITY, light: Vec3::ZERO, has_layers: false };
         }
     }
 

@@ -8,7 +8,7 @@ use super::queries::{Any, Closest, Query, Transmittance, ask, ask_packet};
 use super::single::Stack;
 use crate::device::layout::{Hit, Ray};
 use crate::trace::Layout;
-use crate::trace::kernel::{KernelScene, Traverse, any_hit, closest_hit, transmittance};
+use crate::trace::kernel::{KernelScene, Traverse, any_hit, closest_hit, light_through_layers, transmittance};
 
 /// What a task traces rays with.
 pub(super) struct Rays<'a> {
@@ -124,7 +124,10 @@ impl<'a> Traverse<'a> for Rays<'a> {
 
     fn transmittance(&mut self, ray: &Ray, ray_mask: u32) -> Vec3 {
         match self.lanes {
-            Some(level) => self.ask::<Transmittance>(level, ray, ray_mask).light,
+            Some(level) => match self.ask::<Transmittance>(level, ray, ray_mask) {
+                Transmittance { light, has_layers: false, .. } => light,
+                Transmittance { light, .. } => light * light_through_layers(self.scene, ray, ray_mask),
+            },
             None => transmittance(self.scene, ray, ray_mask),
         }
     }

@@ -23,7 +23,8 @@ pub(crate) use intersect::{
 };
 pub(crate) use material::is_hole;
 pub(crate) use traverse::{
-    Traverse, any_hit, closest_hit, count_any, count_closest, is_closer, passes_at, transmittance,
+    Traverse, any_hit, closest_hit, count_any, count_closest, is_closer, is_layered, light_through_layers, passes_at,
+    transmittance,
 };
 #[cfg(feature = "gpu")]
 pub(crate) use whitted::most_rays;

@@ -5,6 +5,7 @@ use glam::Vec3;
 use super::KernelScene;
 use super::intersect::{Crossing, cross_triangle, max_component};
 use super::material::{is_hole, passes};
+use super::math::max;
 use super::rope::Rope;
 use super::walk::Walk;
 use super::wide::Wide;
@@ -46,9 +47,31 @@ pub(crate) fn closest_hit(scene: &KernelScene<'_>, ray: &Ray, ray_mask: u32) -> 
 
 /// How much light gets through between `t_min` and `t_max`.
 pub(crate) fn transmittance(scene: &KernelScene<'_>, ray: &Ray, ray_mask: u32) -> Vec3 {
-    match scene.layout {
+    let (light, has_layers) = match scene.layout {
         Layout::Rope => light_through(scene, &mut Rope::<()>::new(scene, ray, ray_mask), ray),
         Layout::Wide => light_through(scene, &mut Wide::<()>::new(scene, ray, ray_mask, false), ray),
+    };
+    if has_layers { light * light_through_layers(scene, ray, ray_mask) } else { light }
+}
+
+/// How much light gets through [layered](is_layered) instances: one crossing after the other.
+pub(crate) fn light_through_layers(scene: &KernelScene<'_>, ray: &Ray, ray_mask: u32) -> Vec3 {
+    let mut light = Vec3::ONE;
+    let mut layer = Hit { t: -1.0, ..Hit::MISS };
+    loop {
+        let rest = Ray { t_min: max(ray.t_min, layer.t), ..*ray };
+        layer = match scene.layout {
+            Layout::Rope => next_layer(scene, &mut Rope::<()>::new(scene, &rest, ray_mask), &rest, &layer),
+            Layout::Wide => next_layer(scene, &mut Wide::<()>::new(scene, &rest, ray_mask, true), &rest, &layer),
+        };
+        if layer.instance == NONE {
+            return light;
+        }
+        let instance = &scene.instances[layer.instance as usize];
+        light *= passes(scene, instance, &scene.triangles[layer.triangle as usize], layer.u, layer.v);
+        if max_component(light) <= 0.0 {
+            return Vec3::ZERO;
+        }
     }
 }
 
@@ -136,23 +159,62 @@ pub(crate) fn is_closer(t: f32, instance: u32, primitive: u32, hit: &Hit) -> boo
     (instance, primitive) < (hit.instance, hit.primitive)
 }
 
+/// How much light gets through all instances but those that are [layered](is_layered), and whether there are any of these.
 #[inline]
-fn light_through(scene: &KernelScene<'_>, walk: &mut impl Walk, ray: &Ray) -> Vec3 {
+fn light_through(scene: &KernelScene<'_>, walk: &mut impl Walk, ray: &Ray) -> (Vec3, bool) {
     let mut light = Vec3::ONE;
+    let mut has_layers = false;
     while let Some(leaf) = walk.next_leaf(scene, ray.t_max) {
         let place = walk.place();
+        if is_layered(place.flags) {
+            has_layers = true;
+            continue;
+        }
         let first = (place.first_triangle + leaf.first()) as usize;
         for triangle in &scene.triangles[first..][..leaf.count() as usize] {
             let Some(crossing) = cross_triangle(&place.shear, triangle) else { continue };
             if crossing.t >= ray.t_min && crossing.t <= ray.t_max {
                 light *= passes_crossing(scene, place.instance, triangle, &crossing);
                 if max_component(light) <= 0.0 {
-                    return Vec3::ZERO;
+                    return (Vec3::ZERO, false);
                 }
             }
         }
     }
-    light
+    (light, has_layers)
+}
+
+/// Whether what is crossed is to be taken layer by layer: it may be met more than once, but counts once.
+pub(crate) fn is_layered(flags: u32) -> bool {
+    InstanceFlags::from_bits_retain(flags).contains(InstanceFlags::TRANSLUCENT | InstanceFlags::REPEATS)
+}
+
+/// The first crossing of a [layered](is_layered) instance after `last`, in the order of t, instance and primitive.
+#[inline]
+fn next_layer(scene: &KernelScene<'_>, walk: &mut impl Walk, ray: &Ray, last: &Hit) -> Hit {
+    let mut hit = Hit { t: ray.t_max, ..Hit::MISS };
+    while let Some(leaf) = walk.next_leaf(scene, hit.t) {
+        let place = walk.place();
+        if !is_layered(place.flags) {
+            continue;
+        }
+        let first = place.first_triangle + leaf.first();
+        for (i, triangle) in (first..).zip(&scene.triangles[first as usize..][..leaf.count() as usize]) {
+            let Some(crossing) = cross_triangle(&place.shear, triangle) else { continue };
+            let (t, instance, primitive) = (crossing.t, place.instance, triangle.primitive);
+            if t >= ray.t_min && is_farther(t, instance, primitive, last) && is_closer(t, instance, primitive, &hit) {
+                hit = Hit { t, u: crossing.u, v: crossing.v, instance, primitive, triangle: i, ..Hit::MISS };
+            }
+        }
+    }
+    hit
+}
+
+fn is_farther(t: f32, instance: u32, primitive: u32, hit: &Hit) -> bool {
+    if t != hit.t {
+        return t > hit.t;
+    }
+    (instance, primitive) > (hit.instance, hit.primitive)
 }
 
 #[inline]
@@ -236,6 +298,27 @@ mod tests {
             assert!(!any_hit(&scene, &ray(t_min, t_max), 2));
         }
         assert_eq!(transmittance(&scene, &ray(0.0, 9.0), 1), Vec3::ONE, "the mask hides them");
+    }
+
+    #[test]
+    fn what_is_met_more_than_once_counts_once() {
+        // The same triangles in two leaves and more, as a kd-tree has them, and two that cross at one place.
+        let flags = InstanceFlags::TRANSLUCENT | InstanceFlags::REPEATS;
+        let mut arrays = layers(5, blended(0.5), flags);
+        let mut triangles = arrays.triangles.to_vec();
+        triangles[4] = Triangle { primitive: 4, ..triangles[3] };
+        triangles.extend_from_within(1..4);
+        arrays.triangles.replace(&triangles);
+        let leaf = arrays.blas_nodes[0];
+        let root = Node { primitives: PrimitiveRange::INNER, ..leaf };
+        let first = Node { escape_index: 2, ..leaf };
+        let second = Node { primitives: PrimitiveRange::leaf(4, 4), ..leaf };
+        arrays.blas_nodes.replace(&[root, first, second]);
+        let scene = KernelScene::new(&arrays);
+        for (t_min, t_max, layers) in [(0.0, 0.9, 0), (0.0, 1.0, 1), (1.0, 1.0, 1), (0.0, 9.0, 5), (1.5, 4.0, 4)] {
+            let part = 0.5f32.powi(layers);
+            assert_eq!(transmittance(&scene, &ray(t_min, t_max), 2), Vec3::splat(part), "{t_min} to {t_max}");
+        }
     }
 
     #[test]

@@ -1,25 +1,23 @@
-//! Instances in the order of a space-filling curve (G. Morton, 1966): what is near in the order is mostly near in space.
+//! Boxes in the order of a space-filling curve (G. Morton, 1966): what is near in the order is mostly near in space.
 
-use glam::{UVec4, Vec4};
+use glam::{UVec4, Vec3, Vec4};
 use rayon::prelude::*;
 
-use super::cluster::Cluster;
-use super::leaves::finite;
-use super::radix;
+use super::{Cluster, radix};
 use crate::accel::tree::{Extent, LaneBox};
 use crate::math::Aabb;
 
-/// The instances, along the curve; those at the same place of it by slot.
-pub(super) struct Order {
+/// Boxes along the curve; those at the same place of it by slot, their index in the slice that they come from.
+pub(in crate::accel) struct Order {
     /// The place on the curve in the upper bits, and the slot in the lower ones. Ascending.
     keys: Vec<u64>,
-    instances: Vec<Cluster>,
+    boxes: Vec<Cluster>,
     extent: Extent,
 }
 
 impl Order {
-    /// Of the slots with a box. O(n).
-    pub(super) fn new(boxes: &[Aabb]) -> Self {
+    /// Of the boxes that are not empty. O(n).
+    pub(in crate::accel) fn new(boxes: &[Aabb]) -> Self {
         let slot_bits = usize::BITS - boxes.len().leading_zeros();
         let axis_bits = ((u64::BITS - slot_bits) / 3).min(21);
         let extent = extent(boxes);
@@ -32,27 +30,24 @@ impl Order {
         radix::sort(&mut keys, slot_bits);
         keys.retain(|&key| key != NO_KEY);
         let slot_mask = (1 << slot_bits) - 1;
-        let instance = |key: &u64| {
+        let single = |key: &u64| {
             let slot = (key & slot_mask) as u32;
-            Cluster::instance(&finite(&boxes[slot as usize]).unwrap_or(Aabb::EMPTY), slot)
+            Cluster::single(&finite(&boxes[slot as usize]).unwrap_or(Aabb::EMPTY), slot)
         };
-        let instances = keys.par_iter().with_min_len(CHUNK).map(instance).collect();
-        Self { keys, instances, extent }
+        let boxes = keys.par_iter().with_min_len(CHUNK).map(single).collect();
+        Self { keys, boxes, extent }
     }
 
-    pub(super) fn len(&self) -> usize {
+    pub(in crate::accel) fn len(&self) -> usize {
         self.keys.len()
     }
 
-    pub(super) fn instances(&self) -> &[Cluster] {
-        &self.instances
+    /// Clusters of one, along the curve.
+    pub(in crate::accel) fn boxes(&self) -> &[Cluster] {
+        &self.boxes
     }
 
-    pub(super) fn into_instances(self) -> Vec<Cluster> {
-        self.instances
-    }
-
-    /// Where the range from `first` to `end`, of two instances or more, is halved: the curve goes from one half of a box to the
+    /// Where the range from `first` to `end`, of two boxes or more, is halved: the curve goes from one half of a box to the
     /// other.
     pub(super) fn split(&self, first: usize, end: usize) -> usize {
         let keys = &self.keys[first..end];
@@ -122,4 +117,13 @@ fn spread(bits: u32) -> u64 {
     x = (x | x << 8) & 0x100f_00f0_0f00_f00f;
     x = (x | x << 4) & 0x10c3_0c30_c30c_30c3;
     (x | x << 2) & 0x1249_2492_4924_9249
+}
+
+/// A box cut to the range of `f32`, if there is something in it.
+#[inline]
+pub(in crate::accel) fn finite(bounds: &Aabb) -> Option<Aabb> {
+    let farthest = Vec3::splat(f32::MAX);
+    let cut =
+        |bounds: &Aabb| Aabb { min: bounds.min.clamp(-farthest, farthest), max: bounds.max.clamp(-farthest, farthest) };
+    (!bounds.is_empty()).then(|| cut(bounds))
 }

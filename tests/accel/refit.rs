@@ -1,0 +1,160 @@
+//! Structures whose triangles have moved: whole, no larger than they must be, and rays hit what they hit in a new one.
+
+use glam::{DAffine3, Quat, Vec3};
+use ropewalk::Quality;
+use ropewalk::accel::{Blas, BuildParams};
+use ropewalk::device::layout::{Hit, NONE, Ray, Triangle};
+use ropewalk::graph::{Geometry, Structure};
+use ropewalk::math::Aabb;
+use ropewalk::trace::{Emulated, Tracer};
+
+use crate::kernel_support::{Mesh, Placed, Random, arrays};
+use crate::meshes::{adversarial, beyond_arithmetic, geometry};
+
+const QUALITIES: [Quality; 2] = [Quality::Fast, Quality::Balanced];
+
+fn build(geometry: &Geometry, quality: Quality) -> Blas {
+    Blas::build(geometry, &BuildParams::new(Structure::Bvh(quality))).unwrap()
+}
+
+/// Everything turned about an axis, the more the farther along it.
+fn twisted(mesh: &Mesh, turn: f32) -> Mesh {
+    let bounds = Aabb::from_points(mesh.positions.iter().copied());
+    let height = (bounds.max.y - bounds.min.y).max(f32::MIN_POSITIVE);
+    let twist = |p: &Vec3| Quat::from_rotation_y(turn * (p.y - bounds.min.y) / height) * *p;
+    Mesh { positions: mesh.positions.iter().map(twist).collect(), indices: mesh.indices.clone() }
+}
+
+fn check(name: &str, mesh: &Mesh, moved: &Mesh, quality: Quality) {
+    let built = build(&geometry(mesh), quality);
+    let mut blas = built.clone();
+    assert!(blas.refit(&geometry(moved)), "{name}");
+    assert_eq!(blas.validate(), Ok(()), "{name}");
+    // Which node and triangle lies where has stayed; all else is that of the new shape.
+    let links = |blas: &Blas| blas.nodes.iter().map(|n| (n.escape_index, n.primitives)).collect::<Vec<_>>();
+    assert_eq!(links(&blas), links(&built));
+    for (new, old) in blas.triangles.iter().zip(&built.triangles) {
+        let [v0, v1, v2] = moved.triangle(old.primitive as usize).map(|p| p.to_array());
+        assert_eq!(*new, Triangle { v0, v1, v2, ..*old }, "{name}");
+    }
+    let fresh = build(&geometry(moved), quality);
+    assert_eq!(blas.bounds, fresh.bounds, "{name}");
+    let extent = fresh.bounds.max - fresh.bounds.min;
+    let slack = |a: [f32; 3], b: [f32; 3]| {
+        (Vec3::from(a) - Vec3::from(b)).abs().cmple(extent.max_element() * 1e-6 + Vec3::from(b).abs() * 1e-6)
+    };
+    if let (Some(root), Some(expected)) = (blas.nodes.first(), fresh.nodes.first()) {
+        assert!((slack(root.min, expected.min) & slack(root.max, expected.max)).all(), "{name}: {root:?} {expected:?}");
+    }
+}
+
+#[test]
+fn deformed_structures_are_whole() {
+    let mut checked = 0;
+    for (name, mesh) in adversarial().into_iter().chain(beyond_arithmetic()) {
+        for quality in QUALITIES {
+            check(name, &mesh, &mesh, quality);
+            if name == "all of f32" || name == "subnormal" {
+                continue;
+            }
+            check(name, &mesh, &mesh.clone().scaled(0.5), quality);
+            checked += 1;
+        }
+    }
+    for quality in QUALITIES {
+        // Large enough for several threads, and of one task.
+        for subdivisions in [1, 3, 6] {
+            let mesh = Mesh::displaced_icosphere(subdivisions);
+            check("twisted", &mesh, &twisted(&mesh, 2.0), quality);
+            checked += 1;
+        }
+    }
+    assert!(checked > 30);
+}
+
+#[test]
+fn what_has_not_moved_gets_the_same_leaves_and_no_larger_boxes() {
+    let mesh = Mesh::displaced_icosphere(5);
+    let built = build(&geometry(&mesh), Quality::Balanced);
+    let mut blas = built.clone();
+    assert!(blas.refit(&geometry(&mesh)));
+    assert_eq!(blas.triangles, built.triangles);
+    for (new, old) in blas.nodes.iter().zip(&built.nodes) {
+        let inside = Vec3::from(new.min).cmpge(old.min.into()) & Vec3::from(new.max).cmple(old.max.into());
+        assert!(inside.all() && (new == old || old.primitives.count() == 0), "{new:?} {old:?}");
+    }
+    assert!((blas.stats().sah_cost / built.stats().sah_cost - 1.0).abs() < 1e-5);
+}
+
+#[test]
+fn the_number_of_threads_does_not_matter() {
+    let mesh = Mesh::displaced_icosphere(6);
+    let (built, moved) = (build(&geometry(&mesh), Quality::Balanced), geometry(&twisted(&mesh, 1.0)));
+    let refit = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let mut blas = built.clone();
+        assert!(pool.install(|| blas.refit(&moved)));
+        blas
+    };
+    assert_eq!(refit(1), refit(3));
+}
+
+/// Where a triangle gets or loses two equal corners, its structure must be built anew.
+#[test]
+fn triangles_that_come_and_go_are_noticed() {
+    let mesh = Mesh::displaced_icosphere(4);
+    let pinched = |vertex: usize| {
+        let [a, b, _] = mesh.indices[0].map(|v| v as usize);
+        let mut positions = mesh.positions.clone();
+        positions[a] = positions[b];
+        positions[vertex] *= 1.5;
+        Mesh { positions, indices: mesh.indices.clone() }
+    };
+    let far = mesh.indices[mesh.indices.len() - 1][0] as usize;
+    let mut round = build(&geometry(&mesh), Quality::Balanced);
+    assert!(!round.refit(&geometry(&pinched(far))), "two triangles went");
+    let mut flat = build(&geometry(&pinched(far)), Quality::Balanced);
+    assert!(flat.triangles.len() < mesh.indices.len());
+    assert!(flat.clone().refit(&geometry(&pinched(far - 1))), "the same ones are left out");
+    assert!(!flat.refit(&geometry(&mesh)), "two triangles came");
+    // Other geometries altogether are refused, too.
+    for other in [Mesh::soup(1, mesh.indices.len() - 1), Mesh::soup(1, 0)] {
+        assert!(!build(&geometry(&mesh), Quality::Balanced).refit(&geometry(&other)));
+    }
+}
+
+#[test]
+fn rays_hit_what_they_hit_in_a_new_structure() {
+    let mut random = Random(3);
+    // Corners that are very near each other may meet when they are turned.
+    let mut soup = Mesh::soup(2, 3000);
+    let (positions, indices) = (&soup.positions, &mut soup.indices);
+    indices.retain(|t| (0..3).all(|i| positions[t[i] as usize].distance(positions[t[(i + 1) % 3] as usize]) > 1e-4));
+    for (name, mesh) in [("icosphere", Mesh::displaced_icosphere(5)), ("soup", soup)] {
+        for turn in [0.1, 1.5, 6.0] {
+            let moved = twisted(&mesh, turn);
+            let mut blas = build(&geometry(&mesh), Quality::Balanced);
+            assert!(blas.refit(&geometry(&moved)));
+            let rays: Vec<Ray> = (0..3000)
+                .map(|_| {
+                    let (origin, target) = (random.in_cube() * 3.0, random.in_cube());
+                    let direction = (target - origin).to_array();
+                    Ray { origin: origin.to_array(), t_min: 0.0, direction, t_max: f32::MAX }
+                })
+                .collect();
+            let trace = |blas: &Blas| {
+                let mut arrays = arrays(std::slice::from_ref(&moved), &[Placed::new(0, DAffine3::IDENTITY)]);
+                arrays.blas_nodes.replace(&blas.nodes);
+                arrays.triangles.replace(&blas.triangles);
+                let mut tracer = Emulated::default();
+                tracer.upload(&mut arrays).unwrap();
+                let hits = tracer.closest_hits(&arrays, &rays, 1).unwrap();
+                // Where it lies may differ, not which it is.
+                hits.into_iter().map(|hit| Hit { triangle: 0, ..hit }).collect::<Vec<_>>()
+            };
+            let (hits, expected) = (trace(&blas), trace(&build(&geometry(&moved), Quality::Balanced)));
+            assert_eq!(hits, expected, "{name} turned by {turn}");
+            assert!(hits.iter().filter(|hit| hit.instance != NONE).count() > 500, "{name}");
+        }
+    }
+}

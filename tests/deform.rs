@@ -1,0 +1,271 @@
+//! Geometries that deform, and the structures they get.
+
+#![expect(clippy::unwrap_used, reason = "a panic in a test is a failure")]
+
+use std::sync::Arc;
+
+use glam::{DVec3, Quat, Vec3};
+use ropewalk::accel::{Blas, BuildParams};
+use ropewalk::compile::{BlasBuilds, CompileReport, Compiler};
+use ropewalk::{Change, Changes, Core, Cursor, Delta, Error, Geometry, Material, Object, Quality, Scene, Structure};
+
+const CORNERS: [Vec3; 4] = [Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::ONE];
+
+fn two_triangles() -> Geometry {
+    Geometry::new(CORNERS, [[0, 1, 2], [1, 3, 2]])
+}
+
+#[test]
+fn set_positions_keeps_the_triangles_and_can_be_undone() {
+    let mut scene = Scene::new();
+    let key = scene.add_geometry(two_triangles()).unwrap();
+    let material = scene.add_material(Material::default()).unwrap();
+    let node = scene.add(scene.root(), Core::Geometry { geometry: key, material }).unwrap();
+    let before = scene.geometry(key).unwrap().clone();
+    let version = scene.geometry_version(key).unwrap();
+    scene.enable_undo();
+    let mut cursor = Cursor::default();
+    let _ = scene.changes_since(&mut cursor);
+
+    scene.set_positions(key, CORNERS, None).unwrap();
+    assert_eq!(scene.changes_since(&mut cursor), Changes::Since(vec![]), "set to what it was");
+    scene.set_positions(key, CORNERS.map(|p| p * 2.0), Some(Arc::new([Vec3::Z; 4]))).unwrap();
+    let after = scene.geometry(key).unwrap().clone();
+    assert!(Arc::ptr_eq(&after.indices, &before.indices));
+    assert_eq!((after.positions[3], after.normals.as_deref()), (Vec3::splat(2.0), Some(&[Vec3::Z; 4][..])));
+    assert!(scene.geometry_version(key).unwrap() > version);
+    assert_eq!(scene.world_bounds(node).unwrap().max, DVec3::splat(2.0), "boxes above follow");
+    assert_eq!(scene.changes_since(&mut cursor), Changes::Since(vec![(Object::Geometry(key), Change::DATA)]));
+
+    scene.set_positions(key, CORNERS, None).unwrap();
+    assert_eq!(scene.geometry(key).unwrap().normals, after.normals, "the normals stay");
+    scene.end_undo_group("deform");
+    scene.undo().unwrap();
+    assert_eq!(*scene.geometry(key).unwrap(), before);
+    scene.redo().unwrap();
+    assert_eq!(scene.geometry(key).unwrap().normals, after.normals);
+    scene.validate().unwrap();
+}
+
+#[test]
+fn bad_positions_are_refused() {
+    let mut scene = Scene::new();
+    let key = scene.add_geometry(two_triangles()).unwrap();
+    let before = format!("{scene:?}");
+    let mut broken = CORNERS;
+    broken[2].y = f32::INFINITY;
+    let cases: [(&[Vec3], Option<Arc<[Vec3]>>, _); 4] = [
+        (&CORNERS[..3], None, ("positions", 3)),
+        (&broken, None, ("positions", 2)),
+        (&CORNERS, Some(Arc::new([Vec3::Z; 5])), ("normals", 5)),
+        (&CORNERS, Some(Arc::new([Vec3::NAN; 4])), ("normals", 0)),
+    ];
+    for (positions, normals, at) in cases {
+        match scene.set_positions(key, positions, normals) {
+            Err(Error::InvalidGeometry { what, index, .. }) => assert_eq!((what, index), at),
+            other => assert!(other.is_err(), "{at:?} was taken"),
+        }
+    }
+    assert_eq!(format!("{scene:?}"), before);
+    scene.remove_unused();
+    assert!(matches!(scene.set_positions(key, CORNERS, None), Err(Error::StaleKey { .. })));
+}
+
+#[test]
+fn the_choice_of_a_structure_travels() {
+    let mut scene = Scene::new();
+    let key = scene.add_geometry(two_triangles().with_structure(Structure::KdTree)).unwrap();
+    let mut cursor = Cursor::default();
+    let mut mirror = Scene::new();
+    mirror.apply(&scene.delta_since(&mut cursor)).unwrap();
+    assert_eq!(mirror.geometry(key).unwrap().structure, Some(Structure::KdTree));
+
+    // A change of nothing else is one.
+    let best = Structure::Bvh(Quality::Best);
+    scene.set_geometry(key, scene.geometry(key).unwrap().clone().with_structure(best)).unwrap();
+    mirror.apply(&scene.delta_since(&mut cursor)).unwrap();
+    assert_eq!(mirror.geometry(key).unwrap().structure, Some(best), "though all arrays are shared");
+
+    scene.set_geometry(key, scene.geometry(key).unwrap().clone().with_structure(None)).unwrap();
+    let delta = scene.delta_since(&mut cursor);
+    let delta: Delta = serde_json::from_slice(&serde_json::to_vec(&delta).unwrap()).unwrap();
+    mirror.apply(&delta).unwrap();
+    assert_eq!(mirror.geometry(key).unwrap().structure, None);
+
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.ropewalk");
+    scene.set_geometry(key, two_triangles().with_structure(Structure::KdTree)).unwrap();
+    scene.save(&path).unwrap();
+    assert_eq!(Scene::load(&path).unwrap().geometry(key).unwrap().structure, Some(Structure::KdTree));
+}
+
+/// A bumpy sphere of 2 * `rows` * 2 * `rows` triangles, of which none is without area.
+fn sphere(rows: u32) -> Geometry {
+    let (columns, pi) = (2 * rows, std::f32::consts::PI);
+    let point = |i: u32| {
+        let (u, v) = ((i % columns) as f32 / rows as f32 * pi, ((i / columns) as f32 + 0.5) / (rows + 1) as f32 * pi);
+        Vec3::new(v.sin() * u.cos(), v.cos(), v.sin() * u.sin()) * (1.0 + 0.05 * (u * 9.0).sin() * (v * 7.0).cos())
+    };
+    let next = |i: u32| if i % columns + 1 == columns { i + 1 - columns } else { i + 1 };
+    let triangles = (0..rows * columns).flat_map(|a| {
+        let (b, c, d) = (next(a), next(a) + columns, a + columns);
+        [[a, b, c], [a, c, d]]
+    });
+    Geometry::new((0..(rows + 1) * columns).map(point).collect::<Vec<_>>(), triangles.collect::<Vec<_>>())
+}
+
+/// Its positions, turned about the axis the more the farther up.
+fn twisted(geometry: &Geometry, turn: f32) -> Vec<Vec3> {
+    geometry.positions.iter().map(|p| Quat::from_rotation_y(turn * p.y) * *p).collect()
+}
+
+/// A scene of geometries, each with one user, and its compiler.
+struct Shown {
+    scene: Scene,
+    compiler: Compiler,
+    keys: Vec<ropewalk::GeometryKey>,
+}
+
+impl Shown {
+    fn new(geometries: Vec<Geometry>) -> Self {
+        let mut scene = Scene::new();
+        let material = scene.add_material(Material::default()).unwrap();
+        let keys: Vec<_> = geometries.into_iter().map(|geometry| scene.add_geometry(geometry).unwrap()).collect();
+        for &geometry in &keys {
+            scene.add(scene.root(), Core::Geometry { geometry, material }).unwrap();
+        }
+        let mut shown = Self { scene, compiler: Compiler::new(), keys };
+        assert_eq!(shown.compile().blas_builds, BlasBuilds { new: shown.keys.len(), ..BlasBuilds::default() });
+        shown
+    }
+
+    fn compile(&mut self) -> CompileReport {
+        let report = self.compiler.compile(&mut self.scene, DVec3::Z * 9.0).unwrap();
+        let again = self.compiler.compile(&mut self.scene, DVec3::Z * 9.0).unwrap();
+        assert_eq!((again.blas_refitted, again.blas_built, again.blas_builds), (0, 0, BlasBuilds::default()));
+        report
+    }
+
+    fn twist(&mut self, which: usize, turn: f32) -> CompileReport {
+        let positions = twisted(self.scene.geometry(self.keys[which]).unwrap(), turn);
+        self.scene.set_positions(self.keys[which], positions, None).unwrap();
+        self.compile()
+    }
+
+    /// Copied to the device: nodes, triangles, normals.
+    fn written(&mut self) -> [Vec<std::ops::Range<usize>>; 3] {
+        let arrays = self.compiler.arrays_mut();
+        [arrays.blas_nodes.take_dirty(), arrays.triangles.take_dirty(), arrays.normals.take_dirty()]
+    }
+}
+
+#[test]
+fn a_deformed_geometry_is_refitted_in_its_place() {
+    let mut shown = Shown::new(vec![sphere(20), sphere(30), sphere(10)]);
+    shown.written();
+    let places = shown.compiler.arrays().instances.to_vec();
+    let report = shown.twist(1, 0.2);
+    assert_eq!((report.blas_refitted, report.blas_refitted_triangles), (1, 3600));
+    assert_eq!((report.blas_built, report.blas_freed, report.blas_builds), (0, 0, BlasBuilds::default()));
+    let after = shown.compiler.arrays().instances.to_vec();
+    for (old, new) in places.iter().zip(&after) {
+        assert_eq!((old.first_node, old.first_triangle), (new.first_node, new.first_triangle));
+    }
+    // Only what is its own was written.
+    let others: Vec<_> = after.iter().map(|instance| instance.first_triangle as usize).collect();
+    let [nodes, triangles, normals] = shown.written();
+    assert!(!nodes.is_empty() && normals.is_empty());
+    let end = others.iter().copied().filter(|&start| start > others[1]).min().unwrap_or(usize::MAX);
+    assert!(triangles.iter().all(|range| range.start >= others[1] && range.end <= end), "{triangles:?} {others:?}");
+    let count: usize = triangles.iter().map(ExactSizeIterator::len).sum();
+    assert_eq!(count, 3600);
+}
+
+#[test]
+fn each_reason_is_told() {
+    let mut shown = Shown::new(vec![sphere(20)]);
+    let key = shown.keys[0];
+    let original = shown.scene.geometry(key).unwrap().clone();
+
+    // Normals alone are written alone.
+    let normals: Arc<[Vec3]> = original.positions.iter().map(|p| p.normalize()).collect();
+    shown.scene.set_geometry(key, Geometry { normals: Some(normals.clone()), ..original.clone() }).unwrap();
+    let report = shown.compile();
+    assert_eq!((report.blas_built, report.blas_refitted), (0, 0));
+    shown.written();
+    let turned: Arc<[Vec3]> = normals.iter().map(|n| -*n).collect();
+    shown.scene.set_positions(key, original.positions.clone(), Some(turned.clone())).unwrap();
+    shown.compile();
+    assert_eq!(shown.written(), [vec![], vec![], vec![0..3 * normals.len()]]);
+    assert_eq!(shown.compiler.arrays().normals[0].to_bits(), turned[0].x.to_bits());
+
+    // Corners meet, and part.
+    let mut pinched = original.positions.to_vec();
+    pinched[1] = pinched[0];
+    for positions in [pinched, original.positions.to_vec()] {
+        shown.scene.set_positions(key, positions, None).unwrap();
+        let report = shown.compile();
+        assert_eq!((report.blas_refitted, report.blas_builds.other_triangles, report.blas_built), (0, 1, 1));
+    }
+    // Other triangles.
+    shown.scene.set_geometry(key, sphere(21)).unwrap();
+    assert_eq!(shown.compile().blas_builds, BlasBuilds { other_triangles: 1, ..BlasBuilds::default() });
+    // Another structure, and one that is not refitted.
+    let best = sphere(21).with_structure(Structure::Bvh(Quality::Best));
+    shown.scene.set_geometry(key, best).unwrap();
+    assert_eq!(shown.compile().blas_builds, BlasBuilds { chosen: 1, ..BlasBuilds::default() });
+    assert_eq!(shown.twist(0, 0.1).blas_builds, BlasBuilds { chosen: 1, ..BlasBuilds::default() });
+    let automatic = shown.scene.geometry(key).unwrap().clone().with_structure(None);
+    shown.scene.set_geometry(key, automatic).unwrap();
+    assert_eq!(shown.compile().blas_built, 0, "what is there will do");
+    assert_eq!(shown.twist(0, 0.1).blas_builds, BlasBuilds { chosen: 1, ..BlasBuilds::default() });
+    assert_eq!(shown.twist(0, 0.1).blas_refitted, 1);
+}
+
+#[test]
+fn undo_refits_too() {
+    let mut shown = Shown::new(vec![sphere(20)]);
+    shown.scene.enable_undo();
+    let before = shown.compiler.arrays().triangles.to_vec();
+    assert_eq!(shown.twist(0, 0.2).blas_refitted, 1);
+    assert_ne!(shown.compiler.arrays().triangles.to_vec(), before);
+    shown.scene.undo().unwrap();
+    assert_eq!(shown.compile().blas_refitted, 1);
+    assert_eq!(shown.compiler.arrays().triangles.to_vec(), before);
+}
+
+/// However long it goes on, the structure stays about as good as one that is built anew.
+#[test]
+fn what_twists_on_and_on_is_rebuilt_now_and_then() {
+    let mut shown = Shown::new(vec![sphere(40)]);
+    let params = BuildParams::default();
+    let (mut decayed, mut refitted, mut worst) = (0, 0, 0.0f64);
+    for _ in 0..60 {
+        let report = shown.twist(0, 0.2);
+        assert_eq!(report.blas_built, report.blas_builds.decayed);
+        decayed += report.blas_built;
+        refitted += report.blas_refitted;
+        let geometry = shown.scene.geometry(shown.keys[0]).unwrap();
+        let fresh = Blas::build(geometry, &params).unwrap();
+        // The same structure again, measured.
+        let mut ours = fresh.clone();
+        ours.nodes = shown.compiler.arrays().blas_nodes.to_vec();
+        worst = worst.max(ours.stats().sah_cost / fresh.stats().sah_cost);
+    }
+    println!("{decayed} built, {refitted} refitted; up to {worst} times the cost of a new one");
+    assert!(decayed >= 2 && refitted > 2 * decayed, "{decayed} built, {refitted} refitted");
+    assert!(worst < 2.0, "{worst} times the cost of a new one");
+}
+
+#[test]
+fn what_changes_frame_after_frame_is_built_fast() {
+    let mut shown = Shown::new(vec![sphere(20)]);
+    let nodes_of =
+        |rows: u32, quality| Blas::build(&sphere(rows), &BuildParams::new(Structure::Bvh(quality))).unwrap().nodes;
+    for (i, quality) in [Quality::Balanced, Quality::Balanced, Quality::Fast, Quality::Fast].into_iter().enumerate() {
+        let rows = 21 + i as u32;
+        shown.scene.set_geometry(shown.keys[0], sphere(rows)).unwrap();
+        assert_eq!(shown.compile().blas_builds.other_triangles, 1);
+        assert_eq!(shown.compiler.arrays().blas_nodes.to_vec(), nodes_of(rows, quality), "change {i}");
+    }
+}

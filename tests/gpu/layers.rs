@@ -1,0 +1,81 @@
+//! Shadows through glass that is in several leaves of its structure are as deep as through glass that is in one.
+
+use ropewalk::accel::{Blas, BuildParams};
+use ropewalk::compile::Needs;
+use ropewalk::device::DeviceArrays;
+use ropewalk::device::layout::{Instance, InstanceFlags, LIGHT_DIRECTIONAL, Light, MaterialFlags};
+use ropewalk::glam::Vec3;
+use ropewalk::graph::{Geometry, Structure};
+use ropewalk::image::Image;
+use ropewalk::trace::{Emulated, FrameRequest, Tracer};
+
+use crate::soup::{Random, params, soup};
+use crate::support::tracer;
+
+const COUNT: u32 = 60;
+
+/// Large panes that go through each other, in the light.
+fn panes(structure: Structure, flags: InstanceFlags) -> DeviceArrays {
+    let mut random = Random::new(9);
+    let positions: Vec<Vec3> = (0..3 * COUNT).map(|_| Vec3::from(random.point()) * 4.0).collect();
+    let indices: Vec<[u32; 3]> = (0..COUNT).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
+    let blas = Blas::build(&Geometry::new(positions, indices), &BuildParams::new(structure)).unwrap();
+    assert_eq!(blas.repeats, structure == Structure::KdTree);
+
+    let mut arrays = soup(1, &mut random);
+    let instance = Instance { flags: flags.bits(), ..arrays.instances[0] };
+    arrays.instances.replace(&[instance]);
+    arrays.blas_nodes.replace(&blas.nodes);
+    arrays.triangles.replace(&blas.triangles);
+    let mut leaf = arrays.tlas_nodes[0];
+    (leaf.min, leaf.max) = ([-3.0; 3], [3.0; 3]);
+    arrays.tlas_nodes.replace(&[leaf]);
+    let mut material = arrays.materials[0];
+    material.base_color = [0.9, 0.8, 0.7, 0.1];
+    material.flags = MaterialFlags::BLEND.bits();
+    arrays.materials.replace(&[material]);
+    let light = Light {
+        kind: LIGHT_DIRECTIONAL,
+        direction: [0.0, -0.6, -0.8],
+        color: [5.0; 3],
+        ..bytemuck::Zeroable::zeroed()
+    };
+    arrays.lights.replace(&[Light { range: f32::MAX, ..light }]);
+    arrays
+}
+
+fn draw(tracer: &mut dyn Tracer, arrays: &mut DeviceArrays) -> Image {
+    let mut params = params(48, 48);
+    (params.light_count, params.max_depth) = (1, 2);
+    tracer.upload(arrays).unwrap();
+    tracer.render(arrays, &FrameRequest { params, needs: Needs::BLEND | Needs::LIGHTS, aovs: false }).unwrap();
+    tracer.read().unwrap()
+}
+
+/// How many pixels differ by more than rounding.
+fn differences(a: &Image, b: &Image) -> usize {
+    let differs = |(a, b): &(&[f32; 4], &[f32; 4])| (0..3).any(|i| (a[i] - b[i]).abs() > 1e-4 * b[i].abs().max(1.0));
+    a.color.iter().zip(&b.color).filter(differs).count()
+}
+
+#[test]
+fn a_pane_in_several_leaves_darkens_once() {
+    let once = InstanceFlags::TRANSLUCENT;
+    let expected = draw(&mut Emulated::default(), &mut panes(Structure::default(), once));
+    let layered = draw(&mut Emulated::default(), &mut panes(Structure::KdTree, once | InstanceFlags::REPEATS));
+    assert_eq!(differences(&layered, &expected), 0);
+    // Not told that there is more than one of them, it is too dark.
+    let twice = draw(&mut Emulated::default(), &mut panes(Structure::KdTree, once));
+    let count = differences(&twice, &expected);
+    assert!(count > 20, "{count} pixels");
+}
+
+#[test]
+fn the_gpu_sees_the_same_layers() {
+    let Some(mut gpu) = tracer() else { return };
+    let flags = InstanceFlags::TRANSLUCENT | InstanceFlags::REPEATS;
+    let expected = draw(&mut Emulated::default(), &mut panes(Structure::KdTree, flags));
+    let found = draw(&mut gpu, &mut panes(Structure::KdTree, flags));
+    let count = differences(&found, &expected);
+    assert!(count * 200 < expected.color.len(), "{count} of {} pixels differ", expected.color.len());
+}
