@@ -1,0 +1,183 @@
+//! How long bottom-level structures take to build, and how good they are: Ropewalk's builders and its peers'.
+//!
+//! All get the same triangles, three corners each, and end with what their own traversal reads: ours with both of its layouts,
+//! obvhs with its triangles in the order of the leaves, as its own examples have them. Every one uses all threads that it knows to
+//! use. Two measures of quality: the surface area heuristic's cost, by one function for all whose tree can be read, and the
+//! rate of one thread on diffuse rays where a peer's is known from the benchmark `peers`: that of Embree.
+
+mod cost;
+mod peers;
+
+use std::process::ExitCode;
+use std::time::Duration;
+
+use clap::Parser as _;
+use glam::Vec3;
+use rayon::ThreadPoolBuilder;
+use ropewalk::accel::{Blas, BuildParams};
+use ropewalk::trace::Cpu;
+use ropewalk::{Geometry, Quality, Structure};
+use ropewalk_bench::embree::{self, Batch as _, Closest1, Embree};
+use ropewalk_bench::rays::{RayKind, RaySets};
+use ropewalk_bench::runner::{Runner as _, Traced};
+use ropewalk_bench::scenes::{BenchScene, Recipe, SCENES};
+use ropewalk_bench::{Contender, Options, Report, Result, Target, medians, milliseconds, time};
+
+use peers::Peer;
+
+const NAMES: [&str; 4] = ["bunny", "dragon-res2", "dragon", "sponza"];
+const QUICK_NAMES: [&str; 2] = ["bunny", "sponza"];
+
+const OURS: [(&str, Structure); 4] = [
+    ("ropewalk, fast", Structure::Bvh(Quality::Fast)),
+    ("ropewalk, balanced", Structure::Bvh(Quality::Balanced)),
+    ("ropewalk, best", Structure::Bvh(Quality::Best)),
+    ("ropewalk, kd-tree", Structure::KdTree),
+];
+
+const EMBREE: [(&str, embree::Quality); 3] = [
+    ("Embree 4, low", embree::Quality::Low),
+    ("Embree 4, medium", embree::Quality::Medium),
+    ("Embree 4, high", embree::Quality::High),
+];
+
+fn main() -> ExitCode {
+    let options = Options::parse();
+    match measure_all(&options) {
+        Ok(report) => report.finish(&options),
+        Err(error) => {
+            eprintln!("{error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn measure_all(options: &Options) -> Result<Report> {
+    let names = if options.quick { &QUICK_NAMES[..] } else { &NAMES };
+    let columns = ["scene", "triangles", "who", "ms", "Mtriangles/s", "SAH cost", "diffuse Mrays/s"];
+    let mut report = Report::new(&columns);
+    for recipe in SCENES.iter().filter(|recipe| names.contains(&recipe.name)) {
+        measure(recipe, if options.quick { 3 } else { 7 }, &mut report)?;
+    }
+    Ok(report)
+}
+
+/// What is known of a builder.
+struct Point {
+    name: &'static str,
+    time: Duration,
+    /// The less, the better.
+    cost: Option<f64>,
+    /// The more, the better: rays a second.
+    rate: Option<f64>,
+}
+
+fn measure(recipe: &Recipe, samples: usize, report: &mut Report) -> Result<()> {
+    let triangles = recipe.load()?.triangles();
+    let embree = Embree::open(0)?;
+    let peers = peers::all();
+    let times = build_times(&triangles, &embree, &peers, samples);
+    let rates = rates(recipe, &triangles, &embree, samples)?;
+
+    let geometry = soup(&triangles);
+    let mut points = Vec::new();
+    for ((name, structure), (&time, &rate)) in OURS.into_iter().zip(times.iter().zip(&rates)) {
+        let blas = Blas::build(&geometry, &BuildParams::new(structure))?;
+        points.push(Point { name, time, cost: Some(cost::of_ours(&blas.nodes)), rate: Some(rate) });
+    }
+    for ((name, _), (&time, &rate)) in EMBREE.into_iter().zip(times[4..].iter().zip(&rates[4..])) {
+        points.push(Point { name, time, cost: None, rate: Some(rate) });
+    }
+    for (peer, &time) in peers.iter().zip(&times[7..]) {
+        points.push(Point { name: peer.name, time, cost: (peer.build)(&triangles).cost(), rate: None });
+    }
+    for point in &points {
+        report.row([
+            recipe.name.to_owned(),
+            triangles.len().to_string(),
+            point.name.to_owned(),
+            milliseconds(point.time),
+            format!("{:.2}", triangles.len() as f64 / point.time.as_secs_f64() * 1e-6),
+            point.cost.map_or(String::new(), |cost| format!("{cost:.2}")),
+            point.rate.map_or(String::new(), |rate| format!("{:.2}", rate * 1e-6)),
+        ]);
+    }
+    // For each of ours, the peer that comes nearest to being both faster and better: by how much it fails at one of them.
+    let (ours, theirs) = points.split_at(OURS.len());
+    for our in ours {
+        let margin = theirs.iter().filter_map(|their| margin(our, their)).fold(f64::INFINITY, f64::min);
+        let name = our.name.replace("ropewalk, ", "").replace('-', "_");
+        report.goal(format!("front_{}_{name}", recipe.name), margin, Target::AtLeast(1.0), "x");
+    }
+    Ok(())
+}
+
+/// How many times as slow or as bad `their` is, whichever is more; `None` if there is no measure for both.
+fn margin(our: &Point, their: &Point) -> Option<f64> {
+    let of_cost = their.cost.zip(our.cost).map(|(their, our)| their / our);
+    let of_rate = our.rate.zip(their.rate).map(|(our, their)| our / their);
+    let time = their.time.as_secs_f64() / our.time.as_secs_f64();
+    of_cost.or(of_rate).map(|quality| quality.max(time))
+}
+
+fn soup(triangles: &[[Vec3; 3]]) -> Geometry {
+    let indices: Vec<[u32; 3]> = (0..triangles.len() as u32).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
+    Geometry::new(triangles.as_flattened(), indices)
+}
+
+/// Of ours, Embree's and all other peers', in turns.
+fn build_times(triangles: &[[Vec3; 3]], embree: &Embree, peers: &[Peer], samples: usize) -> Vec<Duration> {
+    let geometry = &soup(triangles);
+    let mut contenders: Vec<Contender> = Vec::new();
+    for (_, structure) in OURS {
+        contenders.push(Box::new(move || time(|| Blas::build(geometry, &BuildParams::new(structure)))));
+    }
+    for (_, quality) in EMBREE {
+        contenders.push(Box::new(move || time(|| embree.scene(triangles, quality, false).is_ok())));
+    }
+    for peer in peers {
+        contenders.push(Box::new(move || (peer.time)(triangles)));
+    }
+    medians(samples, &mut contenders)
+}
+
+/// Diffuse rays a second on one thread, of ours and Embree's, in turns.
+fn rates(recipe: &Recipe, triangles: &[[Vec3; 3]], embree: &Embree, samples: usize) -> Result<Vec<f64>> {
+    let scene = recipe.load()?;
+    let sets = RaySets::new(&scene)?;
+    let rays = sets.of(RayKind::Diffuse);
+    let pool = ThreadPoolBuilder::new().num_threads(1).build()?;
+    let scenes: Vec<BenchScene> =
+        OURS.into_iter().map(|(_, structure)| with_structure(recipe, structure)).collect::<Result<_>>()?;
+    let theirs: Vec<embree::Scene<'_>> =
+        EMBREE.into_iter().map(|(_, quality)| embree.scene(triangles, quality, false)).collect::<Result<_>>()?;
+    let mut contenders: Vec<Contender> = Vec::new();
+    for scene in &scenes {
+        let mut runner = Traced::new(Cpu::default(), &pool, scene.arrays(), rays, RayKind::Diffuse);
+        contenders.push(Box::new(move || runner.run()));
+    }
+    for scene in &theirs {
+        let mut batch = Closest1::default();
+        contenders.push(Box::new(move || {
+            batch.write(rays);
+            time(|| batch.trace(scene, false))
+        }));
+    }
+    let times = medians(samples, &mut contenders);
+    Ok(times.into_iter().map(|time| rays.len() as f64 / time.as_secs_f64()).collect())
+}
+
+/// A scene of one geometry whose structure is this.
+fn with_structure(recipe: &Recipe, structure: Structure) -> Result<BenchScene> {
+    let mut scene = recipe.load()?;
+    // The same triangles in the same order as they were given.
+    let arrays = scene.compiler.arrays_mut();
+    let mut triangles: Vec<_> = arrays.triangles.to_vec();
+    triangles.sort_by_key(|triangle| triangle.primitive);
+    let corners: Vec<[Vec3; 3]> = triangles.iter().map(|t| [t.v0, t.v1, t.v2].map(Vec3::from_array)).collect();
+    let blas = Blas::build(&soup(&corners), &BuildParams::new(structure))?;
+    arrays.blas_nodes.replace(&blas.nodes);
+    arrays.wide_nodes.replace(&blas.wide_nodes);
+    arrays.triangles.replace(&blas.triangles);
+    Ok(scene)
+}
