@@ -40,6 +40,7 @@ struct Trees {
 struct Branch {
     node: Node,
     /// None for a leaf.
+    #[expect(clippy::vec_box, reason = "pointers are the point")]
     children: Vec<Box<Branch>>,
     /// Of a leaf of a bottom level.
     triangles: Box<[Triangle]>,

@@ -48,8 +48,7 @@ fn ask_instance<S: Simd, Q: Query>(
             walk(
                 simd,
                 scene,
-                first_node,
-                instance.first_triangle,
+                [first_node, instance.first_triangle],
                 &local,
                 stack,
                 t_max,
@@ -93,8 +92,7 @@ pub(super) fn ask_packet<S: Simd, Q: Query>(
                 walk_packet(
                     simd,
                     scene,
-                    first_node,
-                    instance.first_triangle,
+                    [first_node, instance.first_triangle],
                     &local,
                     stack,
                     t_max,

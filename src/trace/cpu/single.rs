@@ -109,13 +109,12 @@ impl<S: Simd> LocalRay<S> {
     }
 }
 
-/// Visits what the ray crosses in a structure, near parts first, as long as it lies no farther than `t_max`, which `visit` returns anew.
+/// Visits what the ray crosses in the structure that starts at these places of `wide_nodes` and `triangles`, near parts first, as long as it lies no farther than `t_max`, which `visit` returns anew.
 #[inline(always)]
 pub(super) fn walk<S: Simd>(
     simd: S,
     scene: &KernelScene<'_>,
-    first_node: u32,
-    first_triangle: u32,
+    [first_node, first_triangle]: [u32; 2],
     ray: &LocalRay<S>,
     stack: &mut Stack,
     mut t_max: f32,
