@@ -15,6 +15,7 @@
 //! [`BOX_SLACK`](crate::trace) allows for them; the second is less than 2^-15 steps, which the margin covers.
 
 use glam::{DVec3, Vec3};
+use rayon::prelude::*;
 
 use super::stats::half_area;
 use crate::device::layout::{Node, PrimitiveRange, WideNode};
@@ -28,19 +29,20 @@ const MARGIN: f64 = 1.0 / (1 << 10) as f64;
 /// A subtree of so few triangles is a leaf: as many are tested at once.
 const LEAF_SIZE: u8 = 4;
 
+/// Subtrees of fewer binary nodes are collapsed by one thread.
+const TASK_MINIMUM: usize = 1 << 12;
+
 /// Children of a wide node.
 pub(super) const WIDTH: usize = 8;
 
 /// The wide nodes of a binary hierarchy in depth-first order (the right child of an inner node is where the left one's escape
 /// index leads). O(n).
 pub(super) fn collapse(nodes: &[Node]) -> Vec<WideNode> {
-    let mut wide = Vec::with_capacity(nodes.len() / 8 + 1);
-    if !nodes.is_empty() {
-        let subtrees = subtrees(nodes);
-        let tree = Tree { nodes, subtrees: &subtrees };
-        tree.emit(0, MAX_WIDE_DEPTH, &mut wide);
+    if nodes.is_empty() {
+        return Vec::new();
     }
-    wide
+    let subtrees = subtrees(nodes);
+    Tree { nodes, subtrees: &subtrees }.emit_in_parallel(0, MAX_WIDE_DEPTH)
 }
 
 struct Tree<'a> {
@@ -74,30 +76,66 @@ fn subtrees(nodes: &[Node]) -> Vec<Subtree> {
     subtrees
 }
 
+/// A node whose inner children stand so many places further on.
+fn moved(mut node: WideNode, by: u32) -> WideNode {
+    // Nothing is at index 0 but the root: unused slots are zero.
+    for child in node.children.iter_mut().filter(|child| child.count() == 0 && child.first() > 0) {
+        *child = PrimitiveRange::inner(child.first() + by);
+    }
+    node
+}
+
 fn children(nodes: &[Node], index: usize) -> [usize; 2] {
     [index + 1, nodes[index + 1].escape_index as usize]
 }
 
 impl Tree<'_> {
-    /// Appends the wide node of a subtree that may have `levels` levels of wide nodes, and those below it. Returns its index.
-    /// Recursion is at most [`MAX_WIDE_DEPTH`] deep.
+    /// The wide nodes of a subtree that may have `levels` levels of them, those of large children side by side. Recursion is at
+    /// most [`MAX_WIDE_DEPTH`] deep.
+    fn emit_in_parallel(&self, index: usize, levels: usize) -> Vec<WideNode> {
+        let size = (self.nodes[index].escape_index as usize).min(self.nodes.len()) - index;
+        let mut wide = Vec::with_capacity(size / 8 + 1);
+        if size < TASK_MINIMUM {
+            self.emit(index, levels, &mut wide);
+            return wide;
+        }
+        let (node, inner) = self.node(index, levels);
+        let below = |child: &Option<usize>| child.map(|child| self.emit_in_parallel(child, levels - 1));
+        let below: Vec<Option<Vec<WideNode>>> = inner.par_iter().map(below).collect();
+        wide.push(node);
+        for (slot, below) in below.into_iter().enumerate().filter_map(|(slot, below)| Some((slot, below?))) {
+            let first = wide.len() as u32;
+            wide[0].children[slot] = PrimitiveRange::inner(first);
+            wide.extend(below.into_iter().map(|node| moved(node, first)));
+        }
+        wide
+    }
+
+    /// The same, appended by one thread. Returns the index of the subtree's root.
     fn emit(&self, index: usize, levels: usize, wide: &mut Vec<WideNode>) -> u32 {
+        let (node, inner) = self.node(index, levels);
+        let own = wide.len();
+        wide.push(node);
+        for (slot, child) in inner.into_iter().enumerate().filter_map(|(slot, child)| Some((slot, child?))) {
+            wide[own].children[slot] = PrimitiveRange::inner(self.emit(child, levels - 1, wide));
+        }
+        own as u32
+    }
+
+    /// A wide node, but for the indices of its inner children, and what is to become these.
+    fn node(&self, index: usize, levels: usize) -> (WideNode, [Option<usize>; WIDTH]) {
         let mut opened = [0; WIDTH];
         let count = self.open(index, levels, &mut opened);
         let slots = assign_slots(self.nodes, &opened[..count]);
-        let own = wide.len();
         let corners = |node: usize| [self.nodes[node].min, self.nodes[node].max].map(Vec3::from_array);
-        wide.push(quantised(corners(index), &slots.map(|child| child.map(corners))));
+        let mut node = quantised(corners(index), &slots.map(|child| child.map(corners)));
         for (slot, &child) in slots.iter().enumerate() {
-            let Some(child) = child else { continue };
-            let subtree = self.subtrees[child];
-            wide[own].children[slot] = if subtree.height > 0 {
-                PrimitiveRange::inner(self.emit(child, levels - 1, wide))
-            } else {
-                PrimitiveRange::leaf(subtree.first, u32::from(subtree.triangles))
+            let Some(Subtree { height: 0, triangles, first }) = child.map(|child| self.subtrees[child]) else {
+                continue;
             };
+            node.children[slot] = PrimitiveRange::leaf(first, u32::from(triangles));
         }
-        own as u32
+        (node, slots.map(|child| child.filter(|&child| self.subtrees[child].height > 0)))
     }
 
     /// The nodes that become children; a leaf on its own becomes its only child.

@@ -3,11 +3,11 @@
 use ropewalk::accel::{Blas, BuildParams};
 use ropewalk::compile::Needs;
 use ropewalk::device::DeviceArrays;
-use ropewalk::device::layout::{Instance, InstanceFlags, LIGHT_DIRECTIONAL, Light, MaterialFlags};
+use ropewalk::device::layout::{Instance, InstanceFlags, LIGHT_DIRECTIONAL, Light, MaterialFlags, Streams};
 use ropewalk::glam::Vec3;
 use ropewalk::graph::{Geometry, Structure};
 use ropewalk::image::Image;
-use ropewalk::trace::{Emulated, FrameRequest, Tracer};
+use ropewalk::trace::{Cpu, Emulated, FrameRequest, Layout, Tracer};
 
 use crate::soup::{Random, params, soup};
 use crate::support::tracer;
@@ -26,6 +26,9 @@ fn panes(structure: Structure, flags: InstanceFlags) -> DeviceArrays {
     let instance = Instance { flags: flags.bits(), ..arrays.instances[0] };
     arrays.instances.replace(&[instance]);
     arrays.blas_nodes.replace(&blas.nodes);
+    arrays.wide_nodes.replace(&blas.wide_nodes);
+    let streams = Streams { first_wide_node: 0, ..arrays.geometries[0] };
+    arrays.geometries.replace(&[streams]);
     arrays.triangles.replace(&blas.triangles);
     let mut leaf = arrays.tlas_nodes[0];
     (leaf.min, leaf.max) = ([-3.0; 3], [3.0; 3]);
@@ -62,12 +65,14 @@ fn differences(a: &Image, b: &Image) -> usize {
 fn a_pane_in_several_leaves_darkens_once() {
     let once = InstanceFlags::TRANSLUCENT;
     let expected = draw(&mut Emulated::default(), &mut panes(Structure::default(), once));
-    let layered = draw(&mut Emulated::default(), &mut panes(Structure::KdTree, once | InstanceFlags::REPEATS));
-    assert_eq!(differences(&layered, &expected), 0);
-    // Not told that there is more than one of them, it is too dark.
-    let twice = draw(&mut Emulated::default(), &mut panes(Structure::KdTree, once));
-    let count = differences(&twice, &expected);
-    assert!(count > 20, "{count} pixels");
+    let emulated = |layout| -> Box<dyn Tracer> { Box::new(Emulated::default().with_layout(layout)) };
+    for mut tracer in [emulated(Layout::Rope), emulated(Layout::Wide), Box::new(Cpu::default())] {
+        let layered = draw(&mut *tracer, &mut panes(Structure::KdTree, once | InstanceFlags::REPEATS));
+        assert_eq!(differences(&layered, &expected), 0, "{:?}", tracer.device());
+        // Not told that there is more than one of them, it is too dark.
+        let count = differences(&draw(&mut *tracer, &mut panes(Structure::KdTree, once)), &expected);
+        assert!(count > 20, "{count} pixels, {:?}", tracer.device());
+    }
 }
 
 #[test]

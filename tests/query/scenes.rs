@@ -5,7 +5,9 @@ use proptest::prelude::*;
 use proptest::test_runner::TestRunner;
 use ropewalk::compile::Compiler;
 use ropewalk::graph::AlphaMode;
-use ropewalk::{Core, Geometry, GeometryKey, Hierarchy, Material, MaterialKey, NodePath, Scene, Transform};
+use ropewalk::{
+    Core, Geometry, GeometryKey, Hierarchy, Material, MaterialKey, NodePath, Quality, Scene, Structure, Transform,
+};
 
 use crate::kernel_support::{Mesh, Random};
 
@@ -37,6 +39,14 @@ fn seed() -> impl Strategy<Value = Seed> {
     })
 }
 
+/// Some have a triangle in several leaves.
+const STRUCTURES: [Structure; 4] = [
+    Structure::Bvh(Quality::Fast),
+    Structure::Bvh(Quality::Balanced),
+    Structure::Bvh(Quality::Best),
+    Structure::KdTree,
+];
+
 /// A scene, and what to ask it with.
 pub struct World {
     pub scene: Scene,
@@ -61,8 +71,11 @@ impl World {
             Mesh::cube(),
             Mesh { positions: Vec::new(), indices: Vec::new() },
         ];
-        let geometries =
-            geometries.map(|mesh| scene.add_geometry(Geometry::new(mesh.positions, mesh.indices)).unwrap());
+        let mut add = |mesh: Mesh| {
+            let geometry = Geometry::new(mesh.positions, mesh.indices).with_structure(STRUCTURES[random.index(4)]);
+            scene.add_geometry(geometry).unwrap()
+        };
+        let geometries = geometries.map(&mut add);
         let hole = AlphaMode::Mask { cutoff: 0.5 };
         let glass = Vec4::new(1.0, 1.0, 1.0, 0.2);
         let materials = [

@@ -105,19 +105,20 @@ fn measure(recipe: &Recipe, samples: usize, report: &mut Report) -> Result<()> {
     // For each of ours, the peer that comes nearest to being both faster and better: by how much it fails at one of them.
     let (ours, theirs) = points.split_at(OURS.len());
     for our in ours {
-        let margin = theirs.iter().filter_map(|their| margin(our, their)).fold(f64::INFINITY, f64::min);
         let name = our.name.replace("ropewalk, ", "").replace('-', "_");
-        report.goal(format!("front_{}_{name}", recipe.name), margin, Target::AtLeast(1.0), "x");
+        let least = |margin: fn(&Point, &Point) -> Option<f64>| {
+            let margins = theirs.iter().filter_map(|their| {
+                let time = their.time.as_secs_f64() / our.time.as_secs_f64();
+                margin(our, their).map(|quality| quality.max(time))
+            });
+            margins.fold(f64::INFINITY, f64::min)
+        };
+        let cost = least(|our, their| their.cost.zip(our.cost).map(|(their, our)| their / our));
+        let rate = least(|our, their| our.rate.zip(their.rate).map(|(our, their)| our / their));
+        report.goal(format!("front_by_cost_{}_{name}", recipe.name), cost, Target::AtLeast(1.0), "x");
+        report.goal(format!("front_by_rate_{}_{name}", recipe.name), rate, Target::AtLeast(1.0), "x");
     }
     Ok(())
-}
-
-/// How many times as slow or as bad `their` is, whichever is more; `None` if there is no measure for both.
-fn margin(our: &Point, their: &Point) -> Option<f64> {
-    let of_cost = their.cost.zip(our.cost).map(|(their, our)| their / our);
-    let of_rate = our.rate.zip(their.rate).map(|(our, their)| our / their);
-    let time = their.time.as_secs_f64() / our.time.as_secs_f64();
-    of_cost.or(of_rate).map(|quality| quality.max(time))
 }
 
 fn soup(triangles: &[[Vec3; 3]]) -> Geometry {
