@@ -1,10 +1,12 @@
 //! Compiled scenes in canonical order: the same scene gives the same value however its arrays came about.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use glam::{BVec3, DVec3, Vec3, Vec4};
 use ropewalk::device::DeviceArrays;
-use ropewalk::device::layout::{Instance, Light, Material, NONE, Node, Streams, TextureInfo, Triangle, WideNode};
+use ropewalk::device::layout::{
+    Instance, InstanceFlags, Light, Material, NONE, Node, Streams, TextureInfo, Triangle, WideNode,
+};
 
 /// Everything that a kernel can reach in some arrays, with places replaced by contents. Compares bit by bit.
 #[derive(Debug, PartialEq)]
@@ -105,7 +107,9 @@ fn canonical_instance(arrays: &DeviceArrays, instance: &Instance, leaf: &Node, e
         material.transmission_texture,
         material.normal_texture,
     ];
-    let record = Instance { first_node: 0, first_triangle: 0, geometry: 0, material: 0, ..*instance };
+    // Whether triangles repeat is a matter of the structure.
+    let flags = if exact { instance.flags } else { instance.flags & !InstanceFlags::REPEATS.bits() };
+    let record = Instance { first_node: 0, first_triangle: 0, geometry: 0, material: 0, flags, ..*instance };
     let material = Material {
         base_color_texture: 0,
         metallic_roughness_texture: 0,
@@ -143,6 +147,11 @@ fn fault(arrays: &DeviceArrays) -> Option<String> {
             let Some(leaves) = rope_leaves(nodes, triangles) else { return Some("the order of nodes".to_owned()) };
             if let Some(primitive) = lost_triangle(&leaves, triangles) {
                 return Some(format!("triangle {primitive} sticks out"));
+            }
+            let primitives: HashSet<u32> = triangles.iter().map(|triangle| triangle.primitive).collect();
+            let repeats = InstanceFlags::from_bits_retain(instance.flags).contains(InstanceFlags::REPEATS);
+            if repeats != (primitives.len() < triangles.len()) {
+                return Some(format!("an instance that repeats: {repeats}"));
             }
             let first_wide = arrays.geometries[instance.geometry as usize].first_wide_node;
             let wide_nodes = arrays.wide_nodes.get(first_wide as usize..).unwrap_or_default();
