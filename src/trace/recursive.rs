@@ -23,7 +23,8 @@ use crate::image::Image;
 #[derive(Debug)]
 pub struct Recursive {
     device: DeviceInfo,
-    trees: Trees,
+    /// None before the first upload.
+    trees: Option<Trees>,
     frame: Planes,
 }
 
@@ -49,7 +50,7 @@ struct Branch {
 impl Default for Recursive {
     fn default() -> Self {
         let device = DeviceInfo { executor: "recursive", name: "1 thread".to_owned() };
-        Self { device, trees: Trees::default(), frame: Planes::default() }
+        Self { device, trees: None, frame: Planes::default() }
     }
 }
 
@@ -65,8 +66,8 @@ impl Tracer for Recursive {
             !arrays.triangles.take_dirty().is_empty(),
         ];
         // An array that became shorter has nothing dirty.
-        if changed.contains(&true) || arrays.tlas_nodes.is_empty() {
-            self.trees = Trees::new(arrays);
+        if changed.contains(&true) || arrays.tlas_nodes.is_empty() || self.trees.is_none() {
+            self.trees = Some(Trees::new(arrays));
         }
         arrays.forget_dirty();
         Ok(0)
@@ -74,7 +75,7 @@ impl Tracer for Recursive {
 
     fn render(&mut self, arrays: &DeviceArrays, request: &FrameRequest) -> Result<()> {
         let scene = KernelScene::new(arrays);
-        let mut rays = Rays { scene: &scene, trees: &self.trees };
+        let mut rays = Rays { scene: &scene, trees: self.trees.as_ref() };
         let params = &request.params;
         let mut frame = Planes::new(params.width, params.height, request.aovs)?;
         for y in 0..params.height {
@@ -94,13 +95,13 @@ impl Tracer for Recursive {
 
     fn closest_hits(&mut self, arrays: &DeviceArrays, rays: &[Ray], ray_mask: u32) -> Result<Vec<Hit>> {
         let scene = KernelScene::new(arrays);
-        let tracer = Rays { scene: &scene, trees: &self.trees };
+        let tracer = Rays { scene: &scene, trees: self.trees.as_ref() };
         Ok(rays.iter().map(|ray| tracer.ask::<Closest>(ray, ray_mask).0).collect())
     }
 
     fn any_hits(&mut self, arrays: &DeviceArrays, rays: &[Ray], ray_mask: u32) -> Result<Vec<bool>> {
         let scene = KernelScene::new(arrays);
-        let tracer = Rays { scene: &scene, trees: &self.trees };
+        let tracer = Rays { scene: &scene, trees: self.trees.as_ref() };
         Ok(rays.iter().map(|ray| tracer.ask::<Any>(ray, ray_mask).is_hit).collect())
     }
 }
@@ -146,14 +147,14 @@ fn branch(nodes: &[Node], index: usize, triangles: &impl Fn(PrimitiveRange) -> B
 /// What traces rays.
 struct Rays<'a> {
     scene: &'a KernelScene<'a>,
-    trees: &'a Trees,
+    trees: Option<&'a Trees>,
 }
 
 impl Rays<'_> {
     fn ask<Q: Query>(&self, ray: &Ray, ray_mask: u32) -> Q {
         let mut query = Q::start(ray.t_max);
         let world = slab_ray(Vec3::from_array(ray.origin), Vec3::from_array(ray.direction));
-        if let Some(top) = &self.trees.top {
+        if let Some(top) = self.trees.and_then(|trees| trees.top.as_ref()) {
             descend(top, &world, ray.t_min, ray.t_max, &mut |leaf| {
                 self.ask_instance(leaf.node.primitives.first(), ray, ray_mask, &mut query);
                 query.t_max()
@@ -165,7 +166,7 @@ impl Rays<'_> {
 
     fn ask_instance<Q: Query>(&self, index: u32, ray: &Ray, ray_mask: u32, query: &mut Q) {
         let instance = &self.scene.instances[index as usize];
-        let Some(root) = self.trees.bottom.get(&instance.first_node) else { return };
+        let Some(root) = self.trees.and_then(|trees| trees.bottom.get(&instance.first_node)) else { return };
         if instance.mask & ray_mask == 0 {
             return;
         }
