@@ -1,6 +1,6 @@
 //! The compiler: edit by edit equals from nothing, and each kind of edit costs what it should.
 
-#![expect(clippy::unwrap_used, clippy::panic, reason = "a panic in a test is a failure")]
+#![expect(clippy::unwrap_used, reason = "a panic in a test is a failure")]
 
 #[path = "support/canonical.rs"]
 mod canonical;

@@ -11,7 +11,7 @@ use ropewalk::Error;
 use ropewalk::compile::Needs;
 use ropewalk::device::layout::FrameParams;
 use ropewalk::image::Image;
-use ropewalk::trace::{Cpu, Emulated, FrameRequest, Tracer};
+use ropewalk::trace::{Cpu, Emulated, FrameRequest, Recursive, Tracer};
 
 /// A frame seen from z = 4 towards the origin, under a white sky.
 fn request(width: u32, height: u32, aovs: bool) -> FrameRequest {
@@ -33,9 +33,10 @@ fn request(width: u32, height: u32, aovs: bool) -> FrameRequest {
     FrameRequest { params, needs: Needs::empty(), aovs }
 }
 
-fn images(request: &FrameRequest) -> [Image; 2] {
+fn images(request: &FrameRequest) -> [Image; 3] {
     let mut arrays = arrays(&[Mesh::displaced_icosphere(3)], &[Placed::new(0, DAffine3::IDENTITY)]);
-    let mut tracers: [Box<dyn Tracer>; 2] = [Box::new(Emulated::default()), Box::new(Cpu::default())];
+    let mut tracers: [Box<dyn Tracer>; 3] =
+        [Box::new(Emulated::default()), Box::new(Cpu::default()), Box::new(Recursive::default())];
     tracers.each_mut().map(|tracer| {
         tracer.upload(&mut arrays).unwrap();
         tracer.render(&arrays, request).unwrap();
@@ -46,9 +47,10 @@ fn images(request: &FrameRequest) -> [Image; 2] {
 #[test]
 fn images_are_equal_whether_tiles_fit_or_not() {
     for (width, height) in [(1, 1), (16, 16), (32, 16), (37, 19), (100, 3), (15, 50)] {
-        let [emulated, cpu] = images(&request(width, height, true));
+        let [emulated, cpu, recursive] = images(&request(width, height, true));
         assert_eq!(emulated.color.len(), (width * height) as usize);
         assert_eq!(emulated, cpu, "{width} x {height}");
+        assert_eq!(emulated, recursive, "{width} x {height}");
     }
 }
 
@@ -68,7 +70,7 @@ fn aovs_tell_what_was_met() {
 #[test]
 fn frames_without_pixels_are_empty() {
     for (width, height) in [(0, 0), (0, 7), (7, 0)] {
-        let [emulated, cpu] = images(&request(width, height, true));
+        let [emulated, cpu, recursive] = images(&request(width, height, true));
         assert!(emulated.color.is_empty());
         assert_eq!(emulated, cpu);
     }
@@ -77,7 +79,8 @@ fn frames_without_pixels_are_empty() {
 #[test]
 fn frames_too_large_are_refused_before_anything_is_allocated() {
     let arrays = arrays(&[Mesh::cube()], &[Placed::new(0, DAffine3::IDENTITY)]);
-    let mut tracers: [Box<dyn Tracer>; 2] = [Box::new(Emulated::default()), Box::new(Cpu::default())];
+    let mut tracers: [Box<dyn Tracer>; 3] =
+        [Box::new(Emulated::default()), Box::new(Cpu::default()), Box::new(Recursive::default())];
     for tracer in &mut tracers {
         for (width, height) in [(u32::MAX, u32::MAX), (1 << 15, 1 << 14), (u32::MAX, 1)] {
             let error = tracer.render(&arrays, &request(width, height, false));

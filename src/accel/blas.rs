@@ -108,7 +108,7 @@ impl Blas {
     }
 
     /// Puts the triangles where those of `geometry` are now: the same ones, with their corners elsewhere. The nodes get new boxes
-    /// and stay where they are. O(n), on all threads of the current rayon pool; a tenth of the time of a build or less.
+    /// and stay where they are. O(n), on all threads of the current rayon pool; a fifth of the time of a build.
     ///
     /// Whether it could: not where triangles got or lost two equal corners, nor where the structure has some triangles more
     /// than once, as [`Quality::Best`] and [`Structure::KdTree`] do (their leaves hold clipped triangles, and with whole ones they
@@ -117,6 +117,9 @@ impl Blas {
     /// The more the geometry deforms, the worse the structure: compare [`stats`](Self::stats) with those when it was built.
     #[must_use]
     pub fn refit(&mut self, geometry: &Geometry) -> bool {
+        if self.repeats {
+            return false;
+        }
         let refitted = refit(&mut self.nodes, &mut self.wide_nodes, &mut self.triangles, geometry, self.triangle_cost);
         if let Some(refitted) = &refitted {
             self.bounds = refitted.bounds;

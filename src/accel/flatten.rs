@@ -82,6 +82,7 @@ impl Part {
 }
 
 /// What a subtree gives with its root kept, with the root's children for tops.
+#[derive(Clone, Copy)]
 struct Plan {
     part: Part,
     /// Of the root's box, half the surface.

@@ -113,6 +113,7 @@ impl Counts {
         counts
     }
 
+    #[expect(clippy::needless_pass_by_value, reason = "rayon's reduce gives it")]
     fn add(mut self, other: Self) -> Self {
         let pairs = [(&mut self.entries, &other.entries), (&mut self.exits, &other.exits)];
         for (sums, counts) in pairs {
@@ -147,6 +148,7 @@ impl Boxes {
             for axis in (0..3).filter(|&axis| axes[axis]) {
                 let boxes = &mut boxes.0[axis];
                 let mut rest = bounds;
+                #[expect(clippy::needless_range_loop, reason = "the slice's number is a place, too")]
                 for slice in first[axis]..last[axis] {
                     let corners = corners.get_or_insert_with(|| Corners::new(geometry, reference.primitive()));
                     let Halves { left, right } = corners.cut(&rest, axis, slices.plane(axis, slice + 1));
@@ -159,6 +161,7 @@ impl Boxes {
         boxes
     }
 
+    #[expect(clippy::needless_pass_by_value, reason = "rayon's reduce gives it")]
     fn union(mut self, other: Self) -> Self {
         let pairs = self.0.as_flattened_mut().iter_mut().zip(other.0.as_flattened());
         pairs.for_each(|(sum, bounds)| *sum = sum.union(*bounds));

@@ -7,12 +7,15 @@ pub mod gpu;
 pub(crate) mod kernel;
 mod layout;
 mod planes;
+mod queries;
+mod recursive;
 pub mod shader;
 
 pub use cpu::Cpu;
 pub use emulated::Emulated;
 pub(crate) use kernel::MAX_DEPTH;
 pub use layout::{Counts, Layout};
+pub use recursive::Recursive;
 
 use std::time::Duration;
 
@@ -89,7 +92,7 @@ pub struct FrameRequest {
 /// What runs the kernel.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct DeviceInfo {
-    /// "gpu", "cpu" or "emulated".
+    /// "gpu", "cpu", "emulated" or "recursive".
     pub executor: &'static str,
     /// The device's own name and driver, or the number of threads.
     pub name: String,

@@ -231,7 +231,7 @@ fn every_point_of_a_triangle_is_in_a_leaf_that_holds_it() {
             }
             let mut random = Random(seed as u64);
             for (primitive, leaves) in leaves.iter().enumerate().filter(|(_, leaves)| leaves.len() > 1) {
-                let [a, b, c] = mesh.triangle(primitive).map(|corner| corner.as_dvec3());
+                let [a, b, c] = mesh.triangle(primitive).map(Vec3::as_dvec3);
                 for _ in 0..20 {
                     let (u, v) = (f64::from(random.unsigned()), f64::from(random.unsigned()));
                     let (u, v) = if u + v > 1.0 { (1.0 - u, 1.0 - v) } else { (u, v) };

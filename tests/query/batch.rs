@@ -8,10 +8,12 @@ use crate::kernel_support::{Mesh, Random};
 
 /// Renderers on every executor.
 fn renderers() -> Vec<Renderer> {
-    let mut renderers = vec![Renderer::with_tracer(Cpu::default()), Renderer::with_tracer(Emulated::default())];
     #[cfg(feature = "gpu")]
-    renderers.extend(crate::kernel_support::gpu::tracer().map(Renderer::with_tracer));
-    renderers
+    let gpu = crate::kernel_support::gpu::tracer().map(Renderer::with_tracer);
+    #[cfg(not(feature = "gpu"))]
+    let gpu = None;
+    let others = [Renderer::with_tracer(Cpu::default()), Renderer::with_tracer(Emulated::default())];
+    others.into_iter().chain(gpu).collect()
 }
 
 /// Spheres of 1280 triangles in a cube of that half size around a point of the world.

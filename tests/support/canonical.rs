@@ -1,8 +1,12 @@
 //! Compiled scenes in canonical order: the same scene gives the same value however its arrays came about.
 
+use std::collections::{HashMap, HashSet};
+
 use glam::{BVec3, DVec3, Vec3, Vec4};
 use ropewalk::device::DeviceArrays;
-use ropewalk::device::layout::{Instance, Light, Material, NONE, Node, Streams, TextureInfo, Triangle, WideNode};
+use ropewalk::device::layout::{
+    Instance, InstanceFlags, Light, Material, NONE, Node, Streams, TextureInfo, Triangle, WideNode,
+};
 
 /// Everything that a kernel can reach in some arrays, with places replaced by contents. Compares bit by bit.
 #[derive(Debug, PartialEq)]
@@ -37,6 +41,7 @@ impl Canonical {
     }
 
     /// The same with all bottom-level structures, node for node, and the boxes of instances.
+    #[allow(dead_code, reason = "the soak compares only what refits leave alone")]
     pub(crate) fn exactly(arrays: &DeviceArrays) -> Self {
         Self::new(arrays, true)
     }
@@ -77,7 +82,8 @@ impl Canonical {
             () if a.material != b.material => "material",
             () => "textures",
         };
-        Some(format!("instance {i}: {part}"))
+        let records = [a, b].map(|instance| bytemuck::pod_read_unaligned::<Instance>(&instance.record));
+        Some(format!("instance {i}: {part} of {records:?}"))
     }
 
     /// How many instances can be reached.
@@ -101,7 +107,9 @@ fn canonical_instance(arrays: &DeviceArrays, instance: &Instance, leaf: &Node, e
         material.transmission_texture,
         material.normal_texture,
     ];
-    let record = Instance { first_node: 0, first_triangle: 0, geometry: 0, material: 0, ..*instance };
+    // Whether triangles repeat is a matter of the structure.
+    let flags = if exact { instance.flags } else { instance.flags & !InstanceFlags::REPEATS.bits() };
+    let record = Instance { first_node: 0, first_triangle: 0, geometry: 0, material: 0, flags, ..*instance };
     let material = Material {
         base_color_texture: 0,
         metallic_roughness_texture: 0,
@@ -136,14 +144,20 @@ fn fault(arrays: &DeviceArrays) -> Option<String> {
     leaves.filter_map(|leaf| Some((leaf, arrays.instances.get(leaf.primitives.first() as usize)?))).find_map(
         |(leaf, instance)| {
             let (nodes, triangles) = structure(arrays, instance);
-            if let Some(index) = broken_node(nodes, triangles) {
-                return Some(format!("node {index} of {}: {:?}", nodes.len(), nodes[index]));
+            let Some(leaves) = rope_leaves(nodes, triangles) else { return Some("the order of nodes".to_owned()) };
+            if let Some(primitive) = lost_triangle(&leaves, triangles) {
+                return Some(format!("triangle {primitive} sticks out"));
+            }
+            let primitives: HashSet<u32> = triangles.iter().map(|triangle| triangle.primitive).collect();
+            let repeats = InstanceFlags::from_bits_retain(instance.flags).contains(InstanceFlags::REPEATS);
+            if repeats != (primitives.len() < triangles.len()) {
+                return Some(format!("an instance that repeats: {repeats}"));
             }
             let first_wide = arrays.geometries[instance.geometry as usize].first_wide_node;
-            if first_wide != NONE
-                && let Some(wide) = broken_wide_node(&arrays.wide_nodes[first_wide as usize..], triangles)
-            {
-                return Some(format!("a wide node: {wide:?}"));
+            let wide_nodes = arrays.wide_nodes.get(first_wide as usize..).unwrap_or_default();
+            let leaves = wide_leaves(wide_nodes, triangles);
+            if let Some(primitive) = lost_triangle(&leaves, triangles) {
+                return Some(format!("triangle {primitive} sticks out of wide nodes"));
             }
             let world = |p: Vec3| {
                 let rows = instance.world_from_local.map(|row| Vec4::from(row).as_dvec4());
@@ -168,13 +182,15 @@ fn fault(arrays: &DeviceArrays) -> Option<String> {
     )
 }
 
-/// A wide node with a child that sticks out of its planes, if there is one, or if some triangle is below none.
-fn broken_wide_node(nodes: &[WideNode], triangles: &[Triangle]) -> Option<WideNode> {
-    // Each with the boxes around it.
+/// A leaf: all boxes that a ray must meet to come to its triangles, and these.
+type Leaf<'a> = (Vec<(DVec3, DVec3)>, &'a [Triangle]);
+
+/// The leaves of a hierarchy of wide nodes.
+fn wide_leaves<'a>(nodes: &[WideNode], triangles: &'a [Triangle]) -> Vec<Leaf<'a>> {
     let mut open = vec![(0, Vec::new())];
-    let mut found = 0;
+    let mut leaves = Vec::new();
     while let Some((index, above)) = open.pop() {
-        let node = nodes[index];
+        let node: WideNode = nodes[index];
         for slot in (0..8).filter(|slot| node.exponents[3] >> slot & 1 != 0) {
             let plane = |axis: usize, side: usize| {
                 let step = f64::from(f32::from_bits(u32::from(node.exponents[axis]) << 23));
@@ -185,47 +201,54 @@ fn broken_wide_node(nodes: &[WideNode], triangles: &[Triangle]) -> Option<WideNo
             let (first, count) = (node.children[slot].first() as usize, node.children[slot].count() as usize);
             if count == 0 {
                 open.push((first, around));
-                continue;
-            }
-            found += count;
-            let corners = triangles[first..first + count].iter().flat_map(|t| [t.v0, t.v1, t.v2]);
-            for corner in corners.map(|corner| Vec3::from(corner).as_dvec3()) {
-                if around.iter().any(|(min, max)| !(corner.cmpgt(*min) & corner.cmplt(*max)).all()) {
-                    return Some(node);
-                }
+            } else {
+                leaves.push((around, &triangles[first..first + count]));
             }
         }
     }
-    (found != triangles.len()).then_some(nodes[0])
+    leaves
 }
 
-/// The first node whose subtree ends outside its parent's, or whose box a triangle below it sticks out of.
-fn broken_node(nodes: &[Node], triangles: &[Triangle]) -> Option<usize> {
+/// The leaves of a hierarchy; `None` if some subtree ends outside its parent's.
+fn rope_leaves<'a>(nodes: &[Node], triangles: &'a [Triangle]) -> Option<Vec<Leaf<'a>>> {
     let end = |node: &Node| if node.escape_index == NONE { nodes.len() } else { node.escape_index as usize };
+    let bounds = |&i: &usize| (Vec3::from(nodes[i].min).as_dvec3(), Vec3::from(nodes[i].max).as_dvec3());
     let mut above: Vec<usize> = Vec::new();
+    let mut leaves = Vec::new();
     for (index, node) in nodes.iter().enumerate() {
         while above.last().is_some_and(|&parent| end(&nodes[parent]) <= index) {
             above.pop();
         }
         let limit = above.last().map_or(nodes.len(), |&parent| end(&nodes[parent]));
         if end(node) <= index || end(node) > limit {
-            return Some(index);
+            return None;
         }
         above.push(index);
         let (first, count) = (node.primitives.first() as usize, node.primitives.count() as usize);
-        if count > 0 && (end(node) != index + 1 || first + count > triangles.len()) {
-            return Some(index);
-        }
-        let corners = triangles[first..first + count].iter().flat_map(|t| [t.v0, t.v1, t.v2]).map(Vec3::from);
-        for corner in corners {
-            let sticks_out =
-                |&&i: &&usize| !(corner.cmpgt(nodes[i].min.into()) & corner.cmplt(nodes[i].max.into())).all();
-            if let Some(&broken) = above.iter().find(sticks_out) {
-                return Some(broken);
-            }
+        if count > 0 {
+            leaves.push((above.iter().map(bounds).collect(), triangles.get(first..first + count)?));
         }
     }
-    None
+    Some(leaves)
+}
+
+/// A triangle that some ray would not come to: one that is in no leaf, or whose corners stick out of its leaf or, if it is in several,
+/// one of which some point is in none of them.
+fn lost_triangle(leaves: &[Leaf<'_>], triangles: &[Triangle]) -> Option<u32> {
+    let mut places: HashMap<u32, Vec<&[(DVec3, DVec3)]>> = HashMap::new();
+    for (around, held) in leaves {
+        held.iter().for_each(|triangle| places.entry(triangle.primitive).or_default().push(around));
+    }
+    let is_lost = |triangle: &&Triangle| {
+        let corners = [triangle.v0, triangle.v1, triangle.v2].map(|corner| Vec3::from(corner).as_dvec3());
+        let [a, b, c] = corners;
+        let points = [a, b, c, (a + b) * 0.5, (b + c) * 0.5, (c + a) * 0.5, (a + b + c) / 3.0];
+        let is_in =
+            |around: &[(DVec3, DVec3)], p: DVec3| around.iter().all(|(min, max)| (p.cmpgt(*min) & p.cmplt(*max)).all());
+        let places = places.get(&triangle.primitive).map_or(&[][..], Vec::as_slice);
+        points.into_iter().any(|point| !places.iter().any(|around| is_in(around, point)))
+    };
+    triangles.iter().find(is_lost).map(|triangle| triangle.primitive)
 }
 
 /// The nodes of the hierarchy that starts at `nodes[0]`: up to the last one whose escape index is the end.

@@ -285,7 +285,7 @@ pub(crate) fn mesh(i: usize) -> Geometry {
 fn sphere(radius: f32) -> Geometry {
     let point = |i: usize| {
         let (u, v) = ((i % 13) as f32 / 12.0 * TAU, (i / 13) as f32 / 10.0 * PI);
-        let ring = if i / 13 % 10 == 0 { 0.0 } else { v.sin() };
+        let ring = if (i / 13).is_multiple_of(10) { 0.0 } else { v.sin() };
         Vec3::new(ring * u.cos(), v.cos(), ring * u.sin()) * radius
     };
     let cells = (0..120u32).map(|cell| cell / 12 * 13 + cell % 12);

@@ -96,7 +96,7 @@ pub(super) fn cross<S: Simd, V: SimdFloat<S, Element = f32>>(
         );
         for i in 0..3 {
             let tolerance = (z[i] * depth_scale * (x[i] + y[i]) + x[i] * y[i] * 4.0) * EDGE_TOLERANCE;
-            crossed = crossed & !((w[i] + tolerance).simd_lt(zero));
+            crossed &= !((w[i] + tolerance).simd_lt(zero));
         }
     }
 
@@ -107,7 +107,7 @@ pub(super) fn cross<S: Simd, V: SimdFloat<S, Element = f32>>(
         |w| w.max(zero),
     );
     let area = (w[0] + w[1]) + w[2];
-    crossed = crossed & !area.simd_lt(V::splat(simd, f32::MIN_POSITIVE));
+    crossed &= !area.simd_lt(V::splat(simd, f32::MIN_POSITIVE));
     let scale = V::splat(simd, 1.0) / area;
     let w = each(
         w,

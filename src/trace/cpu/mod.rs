@@ -1,8 +1,11 @@
 //! The `cpu` executor: the kernel on all cores, a tile of pixels at a time.
 
+// What is passed by its name is called; a closure marked so is not. A call takes the lanes through memory.
+#![allow(clippy::redundant_closure, clippy::redundant_closure_for_method_calls)]
+
+mod ask;
 mod lanes;
 mod packet;
-mod queries;
 mod rays;
 mod single;
 mod top;

@@ -9,9 +9,10 @@ use fearless_simd::{Simd, f32x8, f32x16};
 use glam::Vec3;
 
 use super::lanes::{Axes, cross, each, halves, load, pair, planes, step};
-use super::single::{Candidate, FIRST, Level, Stack, range};
+use super::single::{FIRST, Level, Stack, range};
 use crate::device::layout::{Instance, Ray, Triangle, WideNode};
 use crate::trace::kernel::{BOX_SLACK, KernelScene, LEAST_COMPONENT, LEAST_SHARE, reciprocal_power_of_two};
+use crate::trace::queries::Candidate;
 
 /// Rays of a packet.
 pub(super) const LANES: usize = 16;
@@ -192,10 +193,8 @@ impl<S: Simd> LocalPacket<S> {
             (0, 0) => 2,
             _ => return None,
         };
-        if (0..3).any(
-            #[inline(always)]
-            |axis| !negative[axis] && !(least[axis] >= 0.0),
-        ) {
+        let goes_up = |axis: usize| least[axis] >= 0.0;
+        if !(0..3).all(|axis| negative[axis] || goes_up(axis)) {
             return None;
         }
 
@@ -321,8 +320,7 @@ fn reduce<S: Simd>(v: f32x16<S>, f: impl Fn(f32x8<S>, f32x8<S>) -> f32x8<S>) -> 
 pub(super) fn walk_packet<S: Simd>(
     simd: S,
     scene: &KernelScene<'_>,
-    first_node: u32,
-    first_triangle: u32,
+    [first_node, first_triangle]: [u32; 2],
     packet: &LocalPacket<S>,
     stack: &mut Stack,
     t_max: &mut Numbers,

@@ -3,12 +3,13 @@
 use fearless_simd::{Level, Simd};
 use glam::Vec3;
 
+use super::ask::{ask, ask_packet};
 use super::packet::LANES;
-use super::queries::{Any, Closest, Query, Transmittance, ask, ask_packet};
 use super::single::Stack;
 use crate::device::layout::{Hit, Ray};
 use crate::trace::Layout;
 use crate::trace::kernel::{KernelScene, Traverse, any_hit, closest_hit, light_through_layers, transmittance};
+use crate::trace::queries::{Any, Closest, Query, Transmittance};
 
 /// What a task traces rays with.
 pub(super) struct Rays<'a> {

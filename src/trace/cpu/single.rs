@@ -7,6 +7,7 @@ use glam::Vec3;
 use super::lanes::{Axes, corners, cross, each, halves, planes};
 use crate::device::layout::{Instance, Ray, Triangle, WideNode};
 use crate::trace::kernel::{BOX_SLACK, KernelScene, ShearRay, SlabRay, shear_ray, slab_ray};
+use crate::trace::queries::Candidate;
 
 /// A node whose children are being visited.
 #[derive(Clone, Copy)]
@@ -62,16 +63,6 @@ pub(super) struct LocalRay<S: Simd> {
     t_min: f32,
 }
 
-/// A crossing of the ray and a triangle.
-pub(super) struct Candidate {
-    pub(super) t: f32,
-    pub(super) u: f32,
-    pub(super) v: f32,
-    pub(super) back: bool,
-    /// Index into `triangles`.
-    pub(super) triangle: u32,
-}
-
 impl<S: Simd> LocalRay<S> {
     #[inline(always)]
     pub(super) fn new(simd: S, origin: Vec3, direction: Vec3, t_min: f32, root: &WideNode) -> Self {
@@ -118,13 +109,12 @@ impl<S: Simd> LocalRay<S> {
     }
 }
 
-/// Visits what the ray crosses in a structure, near parts first, as long as it lies no farther than `t_max`, which `visit` returns anew.
+/// Visits what the ray crosses in the structure that starts at these places of `wide_nodes` and `triangles`, near parts first, as long as it lies no farther than `t_max`, which `visit` returns anew.
 #[inline(always)]
 pub(super) fn walk<S: Simd>(
     simd: S,
     scene: &KernelScene<'_>,
-    first_node: u32,
-    first_triangle: u32,
+    [first_node, first_triangle]: [u32; 2],
     ray: &LocalRay<S>,
     stack: &mut Stack,
     mut t_max: f32,

@@ -61,7 +61,7 @@ pub(crate) struct ShearRay {
 
 /// Where a ray meets a triangle within its edges.
 #[derive(Clone, Copy)]
-pub(super) struct Crossing {
+pub(crate) struct Crossing {
     pub t: f32,
     pub u: f32,
     pub v: f32,
@@ -144,7 +144,7 @@ pub(crate) fn shear_ray(origin: Vec3, direction: Vec3, extent: f32) -> ShearRay 
 /// Where the ray meets the triangle, anywhere along its line. The point is on the triangle, tolerance or not: the weights
 /// are not negative, and t lies between those of the corners. A triangle without area, seen along the ray, is not met.
 #[inline]
-pub(super) fn cross_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<Crossing> {
+pub(crate) fn cross_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<Crossing> {
     let a = Vec3::from_array(triangle.v0) - ray.origin;
     let b = Vec3::from_array(triangle.v1) - ray.origin;
     let c = Vec3::from_array(triangle.v2) - ray.origin;

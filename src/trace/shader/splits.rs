@@ -135,7 +135,7 @@ mod tests {
         let split = Splits { triangles: Split::new(40, 10), ..Splits::default() };
         let source = split.source(Layout::Wide);
         assert!(
-            source.contains("@binding(17) var<storage, read> triangles_4") && source.contains("i >> 3u"),
+            source.contains("@binding(16) var<storage, read> triangles_4") && source.contains("i >> 3u"),
             "{source}"
         );
         assert_eq!(split.more_bindings(), 4);

@@ -1,0 +1,133 @@
+//! What is asked of a ray by the executors that have walks of their own: the three queries of the kernel.
+
+use glam::Vec3;
+
+use crate::device::layout::{Hit, Instance, InstanceFlags, NONE};
+use crate::trace::kernel::{KernelScene, is_closer, is_hole, is_layered, max_component, passes_at};
+
+/// A crossing of the ray and a triangle.
+pub(crate) struct Candidate {
+    pub(crate) t: f32,
+    pub(crate) u: f32,
+    pub(crate) v: f32,
+    pub(crate) back: bool,
+    /// Index into `triangles`.
+    pub(crate) triangle: u32,
+}
+
+/// What is asked of a ray: told of everything that it crosses, near or far, it says how far the ray goes on.
+pub(crate) trait Query: Copy {
+    fn start(t_max: f32) -> Self;
+
+    fn cross(&mut self, scene: &KernelScene<'_>, index: u32, instance: &Instance, candidate: &Candidate);
+
+    /// Farther than this nothing matters.
+    fn t_max(&self) -> f32;
+
+    /// Called when all has been crossed.
+    fn finish(&mut self) {}
+}
+
+/// See [`closest_hit`](crate::trace::kernel::closest_hit).
+#[derive(Clone, Copy)]
+pub(crate) struct Closest(pub(crate) Hit);
+
+impl Query for Closest {
+    #[inline(always)]
+    fn start(t_max: f32) -> Self {
+        Self(Hit { t: t_max, ..Hit::MISS })
+    }
+
+    #[inline(always)]
+    fn cross(&mut self, scene: &KernelScene<'_>, index: u32, instance: &Instance, candidate: &Candidate) {
+        let triangle = &scene.triangles[candidate.triangle as usize];
+        let flags = InstanceFlags::from_bits_retain(instance.flags);
+        if !is_closer(candidate.t, index, triangle.primitive, &self.0)
+            || candidate.back && flags.contains(InstanceFlags::CULL_BACK)
+            || flags.contains(InstanceFlags::ALPHA_MASK) && is_hole(scene, instance, triangle, candidate.u, candidate.v)
+        {
+            return;
+        }
+        self.0 = Hit {
+            t: candidate.t,
+            u: candidate.u,
+            v: candidate.v,
+            instance: index,
+            primitive: triangle.primitive,
+            triangle: candidate.triangle,
+            back: u32::from(candidate.back),
+            _pad: 0,
+        };
+    }
+
+    #[inline(always)]
+    fn t_max(&self) -> f32 {
+        self.0.t
+    }
+
+    #[inline(always)]
+    fn finish(&mut self) {
+        self.0.t = if self.0.instance == NONE { f32::MAX } else { self.0.t };
+    }
+}
+
+/// See [`any_hit`](crate::trace::kernel::any_hit).
+#[derive(Clone, Copy)]
+pub(crate) struct Any {
+    t_max: f32,
+    pub(crate) is_hit: bool,
+}
+
+impl Query for Any {
+    #[inline(always)]
+    fn start(t_max: f32) -> Self {
+        Self { t_max, is_hit: false }
+    }
+
+    #[inline(always)]
+    fn cross(&mut self, scene: &KernelScene<'_>, _: u32, instance: &Instance, candidate: &Candidate) {
+        let triangle = &scene.triangles[candidate.triangle as usize];
+        if max_component(passes_at(scene, instance, triangle, candidate.u, candidate.v)) <= 0.0 {
+            *self = Self { t_max: f32::NEG_INFINITY, is_hit: true };
+        }
+    }
+
+    #[inline(always)]
+    fn t_max(&self) -> f32 {
+        self.t_max
+    }
+}
+
+/// See [`transmittance`](crate::trace::kernel::transmittance).
+#[derive(Clone, Copy)]
+pub(crate) struct Transmittance {
+    t_max: f32,
+    pub(crate) light: Vec3,
+    /// Whether there are layered instances, which are left out.
+    pub(crate) has_layers: bool,
+}
+
+impl Query for Transmittance {
+    #[inline(always)]
+    fn start(t_max: f32) -> Self {
+        Self { t_max, light: Vec3::ONE, has_layers: false }
+    }
+
+    #[inline(always)]
+    fn cross(&mut self, scene: &KernelScene<'_>, _: u32, instance: &Instance, candidate: &Candidate) {
+        if is_layered(instance.flags) {
+            self.has_layers = true;
+            return;
+        }
+        let triangle = &scene.triangles[candidate.triangle as usize];
+        self.light *= passes_at(scene, instance, triangle, candidate.u, candidate.v);
+        if max_component(self.light) <= 0.0 {
+            *self = Self { t_max: f32::NEG_INFINITY, light: Vec3::ZERO, has_layers: false };
+        }
+    }
+
+    #[inline(always)]
+    fn t_max(&self) -> f32 {
+        self.t_max
+    }
+}
