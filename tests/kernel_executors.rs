@@ -73,6 +73,7 @@ fn frames_without_pixels_are_empty() {
         let [emulated, cpu, recursive] = images(&request(width, height, true));
         assert!(emulated.color.is_empty());
         assert_eq!(emulated, cpu);
+        assert_eq!(emulated, recursive);
     }
 }
 
