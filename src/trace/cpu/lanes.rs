@@ -21,6 +21,12 @@ pub(super) fn each<T: Copy, U>(v: [T; 3], f: impl Fn(T) -> U) -> [U; 3] {
     [f(v[0]), f(v[1]), f(v[2])]
 }
 
+/// Each number in all lanes.
+#[inline(always)]
+pub(super) fn splats<S: Simd, V: SimdFloat<S, Element = f32>>(simd: S, v: [f32; 3]) -> [V; 3] {
+    [V::splat(simd, v[0]), V::splat(simd, v[1]), V::splat(simd, v[2])]
+}
+
 #[inline(always)]
 fn others<S: Simd, V: SimdFloat<S>>(v: [V; 3]) -> [V; 3] {
     [v[1].max(v[2]), v[2].max(v[0]), v[0].max(v[1])]
@@ -36,6 +42,15 @@ fn greatest<S: Simd, V: SimdFloat<S>>(v: [V; 3]) -> V {
     v[0].max(v[1]).max(v[2])
 }
 
+/// Lane by lane a ray and a triangle as they are, along the axes of their space.
+pub(super) struct Unsheared<V> {
+    pub(super) origin: [V; 3],
+    pub(super) direction: [V; 3],
+    pub(super) corners: [[V; 3]; 3],
+    /// The [`ShearRay`](crate::trace::kernel::ShearRay)'s.
+    pub(super) scale: f32,
+}
+
 /// [`cross_triangle`](crate::trace::kernel) lane by lane, with the same roundings: `x`, `y` and `t` are the three corners'.
 /// Returns the lanes that cross.
 #[inline(always)]
@@ -45,6 +60,7 @@ pub(super) fn cross<S: Simd, V: SimdFloat<S, Element = f32>>(
     y: [V; 3],
     t: [V; 3],
     depth_scale: V,
+    unsheared: impl FnOnce() -> Unsheared<V>,
 ) -> Option<(u64, Crossings<V>)> {
     let zero = V::splat(simd, 0.0);
     let (t_least, t_greatest) = (least(t), greatest(t));
@@ -114,8 +130,46 @@ pub(super) fn cross<S: Simd, V: SimdFloat<S, Element = f32>>(
         #[inline(always)]
         |w| w * scale,
     );
-    let t = ((w[0] * t[0] + w[1] * t[1]) + w[2] * t[2]).max(t_least).min(t_greatest);
+    let t = plane_distance(&unsheared(), t, w).max(t_least).min(t_greatest);
     Some((crossed.to_bitmask(), Crossings { t, u: w[1], v: w[2], back: back.to_bitmask() }))
+}
+
+/// The kernel's function of this name, lane by lane.
+#[inline(always)]
+fn plane_distance<S: Simd, V: SimdFloat<S, Element = f32>>(lanes: &Unsheared<V>, t: [V; 3], w: [V; 3]) -> V {
+    let [v0, v1, v2] = lanes.corners;
+    let [_, edge_1, edge_2] = each(
+        lanes.corners,
+        #[inline(always)]
+        |v| {
+            each(
+                [0, 1, 2],
+                #[inline(always)]
+                |axis: usize| (v[axis] - v0[axis]) * lanes.scale,
+            )
+        },
+    );
+    let normal = [
+        edge_1[1] * edge_2[2] - edge_1[2] * edge_2[1],
+        edge_1[2] * edge_2[0] - edge_1[0] * edge_2[2],
+        edge_1[0] * edge_2[1] - edge_1[1] * edge_2[0],
+    ];
+    let is_first = w[0].simd_ge(w[1]) & w[0].simd_ge(w[2]);
+    let is_second = w[1].simd_ge(w[2]);
+    let corner = each(
+        [0, 1, 2],
+        #[inline(always)]
+        |axis: usize| is_first.select(v0[axis], is_second.select(v1[axis], v2[axis])) - lanes.origin[axis],
+    );
+    let height = dot(normal, corner);
+    let slope = dot(normal, lanes.direction);
+    let without_quotient = slope.abs().simd_le(height.abs() * f32::MIN_POSITIVE);
+    without_quotient.select(is_first.select(t[0], is_second.select(t[1], t[2])), height / slope)
+}
+
+#[inline(always)]
+fn dot<S: Simd, V: SimdFloat<S, Element = f32>>(a: [V; 3], b: [V; 3]) -> V {
+    (a[0] * b[0] + a[1] * b[1]) + a[2] * b[2]
 }
 
 /// The near planes of a node's children along an axis in the lower lanes, the far ones in the upper; in steps of its grid. `near` is 0

@@ -8,7 +8,7 @@ use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x8, f32x16};
 use glam::Vec3;
 
-use super::lanes::{Axes, cross, each, halves, load, pair, planes, step};
+use super::lanes::{Axes, Unsheared, cross, each, halves, load, pair, planes, splats, step};
 use super::single::{FIRST, Level, Stack, range};
 use crate::device::layout::{Instance, Ray, Triangle, WideNode};
 use crate::trace::kernel::{BOX_SLACK, KernelScene, LEAST_COMPONENT, LEAST_SHARE, reciprocal_power_of_two};
@@ -109,6 +109,7 @@ impl<S: Simd> Slabs<S> {
 /// A packet in the space of an instance.
 pub(super) struct LocalPacket<S: Simd> {
     origins: [f32x16<S>; 3],
+    directions: [f32x16<S>; 3],
     reciprocals: [f32x16<S>; 3],
     t_min: f32x16<S>,
     /// The least and greatest origins, in the lower lanes those that make planes nearer, in the upper ones those that make them farther.
@@ -264,6 +265,7 @@ impl<S: Simd> LocalPacket<S> {
         let depth = directions[depth_axis];
         let local = Self {
             origins,
+            directions,
             reciprocals,
             t_min,
             outer_origins,
@@ -466,7 +468,21 @@ fn cross_packet<S: Simd>(
         #[inline(always)]
         |[_, _, t]| t * packet.t_scale,
     );
-    let Some((crossed, crossings)) = cross(simd, x, y, t, packet.depth_scale) else { return false };
+    let crossings = cross(
+        simd,
+        x,
+        y,
+        t,
+        packet.depth_scale,
+        #[inline(always)]
+        || Unsheared {
+            origin: packet.origins,
+            direction: packet.directions,
+            corners: [splats(simd, triangle.v0), splats(simd, triangle.v1), splats(simd, triangle.v2)],
+            scale: packet.scale,
+        },
+    );
+    let Some((crossed, crossings)) = crossings else { return false };
     let limits: f32x16<S> = (*t_max).simd_into(simd);
     let in_range = (crossings.t.simd_ge(packet.t_min) & crossings.t.simd_le(limits)).to_bitmask();
     let mut crossed = crossed & in_range & rays;

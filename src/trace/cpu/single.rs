@@ -4,7 +4,7 @@ use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x4, f32x8, f32x16};
 use glam::Vec3;
 
-use super::lanes::{Axes, corners, cross, each, halves, planes};
+use super::lanes::{Axes, Unsheared, corners, cross, each, halves, planes, splats};
 use crate::device::layout::{Instance, Ray, Triangle, WideNode};
 use crate::trace::kernel::{BOX_SLACK, KernelScene, ShearRay, SlabRay, shear_ray, slab_ray};
 use crate::trace::queries::Candidate;
@@ -50,12 +50,13 @@ pub(super) static FIRST: [[u8; 256]; 8] = {
 /// A ray in the space of an instance.
 pub(super) struct LocalRay<S: Simd> {
     origin: [f32; 3],
+    direction: [f32; 3],
     /// For near planes in the lower lanes, times the slack of boxes; for far planes in the upper ones, negated.
     scales: [f32x16<S>; 3],
     near: [usize; 3],
     octant: usize,
     axes: Axes,
-    x_scale: f32x4<S>,
+    scale: f32,
     slope_x: f32x4<S>,
     slope_y: f32x4<S>,
     t_scale: f32x4<S>,
@@ -91,6 +92,7 @@ impl<S: Simd> LocalRay<S> {
         let splat = |value| f32x4::splat(simd, value);
         Self {
             origin: slab.origin.to_array(),
+            direction: direction.to_array(),
             scales: each(
                 slab.reciprocal.to_array(),
                 #[inline(always)]
@@ -99,7 +101,7 @@ impl<S: Simd> LocalRay<S> {
             near: slab.reciprocal.to_array().map(|r| usize::from(r < 0.0)),
             octant: [0, 1, 2].iter().map(|&axis| usize::from(slab.reciprocal[axis] < 0.0) << axis).sum(),
             axes: Axes { order },
-            x_scale: splat(shear.x_row[order[0]]),
+            scale: shear.scale,
             slope_x: splat(shear.x_row[depth_axis]),
             slope_y: splat(shear.y_row[depth_axis]),
             t_scale: splat(shear.t_row[depth_axis]),
@@ -235,19 +237,33 @@ fn cross_four<S: Simd>(
     let x = each(
         [a, b, c],
         #[inline(always)]
-        |[x, _, t]| x * ray.x_scale + t * ray.slope_x,
+        |[x, _, t]| x * ray.scale + t * ray.slope_x,
     );
     let y = each(
         [a, b, c],
         #[inline(always)]
-        |[_, y, t]| y * ray.x_scale + t * ray.slope_y,
+        |[_, y, t]| y * ray.scale + t * ray.slope_y,
     );
     let t = each(
         [a, b, c],
         #[inline(always)]
         |[_, _, t]| t * ray.t_scale,
     );
-    let Some((mut crossed, crossings)) = cross(simd, x, y, t, ray.depth_scale) else { return t_max };
+    let crossings = cross(
+        simd,
+        x,
+        y,
+        t,
+        ray.depth_scale,
+        #[inline(always)]
+        || Unsheared {
+            origin: splats(simd, ray.origin),
+            direction: splats(simd, ray.direction),
+            corners: corners(simd, &four, Axes { order: [0, 1, 2] }),
+            scale: ray.scale,
+        },
+    );
+    let Some((mut crossed, crossings)) = crossings else { return t_max };
     crossed &= (1 << count.min(4)) - 1;
     crossed &= (crossings.t.simd_ge(f32x4::splat(simd, ray.t_min)) & crossings.t.simd_le(f32x4::splat(simd, t_max)))
         .to_bitmask();
