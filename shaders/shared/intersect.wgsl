@@ -149,30 +149,22 @@ fn cross_triangle(ray: ShearRay, triangle: Triangle) -> Crossing {
         return Crossing();
     }
     weights = weights * (1.0 / area);
-    let t_plane = plane_distance(ray, triangle, a, b, c, t, weights);
+    let t_plane = plane_distance(ray, triangle, t, weights);
     let t_hit = min(max(t_plane, min_component(t)), max_component(t));
     return Crossing(t_hit, weights.y, weights.z, back, true);
 }
 
-// How far it is to the triangle's plane; to the corner with the greatest weight, if the ray lies in the plane.
-// `a`, `b` and `c` are the corners relative to the ray's origin, and `t` is theirs.
-fn plane_distance(
-    ray: ShearRay,
-    triangle: Triangle,
-    a: vec3<f32>,
-    b: vec3<f32>,
-    c: vec3<f32>,
-    t: vec3<f32>,
-    weights: vec3<f32>,
-) -> f32 {
+// How far it is to the triangle's plane; to the corner with the greatest weight, if the ray lies in the plane. `t` is that of the
+// corners.
+fn plane_distance(ray: ShearRay, triangle: Triangle, t: vec3<f32>, weights: vec3<f32>) -> f32 {
     let normal = cross3((triangle.v1 - triangle.v0) * ray.scale, (triangle.v2 - triangle.v0) * ray.scale);
-    var corner = c;
+    var corner = triangle.v2 - ray.origin;
     var corner_t = t.z;
     if weights.x >= weights.y && weights.x >= weights.z {
-        corner = a;
+        corner = triangle.v0 - ray.origin;
         corner_t = t.x;
     } else if weights.y >= weights.z {
-        corner = b;
+        corner = triangle.v1 - ray.origin;
         corner_t = t.y;
     }
     let height = dot3(normal, corner);

@@ -52,7 +52,7 @@ pub(super) struct Unsheared<V> {
 }
 
 /// [`cross_triangle`](crate::trace::kernel) lane by lane, with the same roundings: `x`, `y` and `t` are the three corners'.
-/// Returns the lanes that cross.
+/// Returns the lanes that cross. `plane_distance`, given these lanes and the corners' t and weights, is the kernel's.
 #[inline(always)]
 pub(super) fn cross<S: Simd, V: SimdFloat<S, Element = f32>>(
     simd: S,
@@ -60,7 +60,7 @@ pub(super) fn cross<S: Simd, V: SimdFloat<S, Element = f32>>(
     y: [V; 3],
     t: [V; 3],
     depth_scale: V,
-    unsheared: impl FnOnce() -> Unsheared<V>,
+    plane_distance: impl FnOnce(u64, [V; 3], [V; 3]) -> V,
 ) -> Option<(u64, Crossings<V>)> {
     let zero = V::splat(simd, 0.0);
     let (t_least, t_greatest) = (least(t), greatest(t));
@@ -130,13 +130,18 @@ pub(super) fn cross<S: Simd, V: SimdFloat<S, Element = f32>>(
         #[inline(always)]
         |w| w * scale,
     );
-    let t = plane_distance(&unsheared(), t, w).max(t_least).min(t_greatest);
-    Some((crossed.to_bitmask(), Crossings { t, u: w[1], v: w[2], back: back.to_bitmask() }))
+    let crossed = crossed.to_bitmask();
+    let t = plane_distance(crossed, t, w).max(t_least).min(t_greatest);
+    Some((crossed, Crossings { t, u: w[1], v: w[2], back: back.to_bitmask() }))
 }
 
-/// The kernel's function of this name, lane by lane.
+/// [`plane_distance`](crate::trace::kernel) lane by lane.
 #[inline(always)]
-fn plane_distance<S: Simd, V: SimdFloat<S, Element = f32>>(lanes: &Unsheared<V>, t: [V; 3], w: [V; 3]) -> V {
+pub(super) fn plane_distances<S: Simd, V: SimdFloat<S, Element = f32>>(
+    lanes: &Unsheared<V>,
+    t: [V; 3],
+    w: [V; 3],
+) -> V {
     let [v0, v1, v2] = lanes.corners;
     let [_, edge_1, edge_2] = each(
         lanes.corners,

@@ -8,7 +8,7 @@ use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x8, f32x16};
 use glam::Vec3;
 
-use super::lanes::{Axes, Unsheared, cross, each, halves, load, pair, planes, splats, step};
+use super::lanes::{Axes, Unsheared, cross, each, halves, load, pair, plane_distances, planes, splats, step};
 use super::single::{FIRST, Level, Stack, range};
 use crate::device::layout::{Instance, Ray, Triangle, WideNode};
 use crate::trace::kernel::{BOX_SLACK, KernelScene, LEAST_COMPONENT, LEAST_SHARE, reciprocal_power_of_two};
@@ -475,11 +475,14 @@ fn cross_packet<S: Simd>(
         t,
         packet.depth_scale,
         #[inline(always)]
-        || Unsheared {
-            origin: packet.origins,
-            direction: packet.directions,
-            corners: [splats(simd, triangle.v0), splats(simd, triangle.v1), splats(simd, triangle.v2)],
-            scale: packet.scale,
+        |_, t, w| {
+            let lanes = Unsheared {
+                origin: packet.origins,
+                direction: packet.directions,
+                corners: [splats(simd, triangle.v0), splats(simd, triangle.v1), splats(simd, triangle.v2)],
+                scale: packet.scale,
+            };
+            plane_distances(&lanes, t, w)
         },
     );
     let Some((crossed, crossings)) = crossings else { return false };

@@ -4,9 +4,9 @@ use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x4, f32x8, f32x16};
 use glam::Vec3;
 
-use super::lanes::{Axes, Unsheared, corners, cross, each, halves, planes, splats};
+use super::lanes::{Axes, corners, cross, each, halves, planes};
 use crate::device::layout::{Instance, Ray, Triangle, WideNode};
-use crate::trace::kernel::{BOX_SLACK, KernelScene, ShearRay, SlabRay, shear_ray, slab_ray};
+use crate::trace::kernel::{BOX_SLACK, KernelScene, ShearRay, SlabRay, plane_distance, shear_ray, slab_ray};
 use crate::trace::queries::Candidate;
 
 /// A node whose children are being visited.
@@ -50,17 +50,17 @@ pub(super) static FIRST: [[u8; 256]; 8] = {
 /// A ray in the space of an instance.
 pub(super) struct LocalRay<S: Simd> {
     origin: [f32; 3],
-    direction: [f32; 3],
     /// For near planes in the lower lanes, times the slack of boxes; for far planes in the upper ones, negated.
     scales: [f32x16<S>; 3],
     near: [usize; 3],
     octant: usize,
     axes: Axes,
-    scale: f32,
+    x_scale: f32x4<S>,
     slope_x: f32x4<S>,
     slope_y: f32x4<S>,
     t_scale: f32x4<S>,
     depth_scale: f32x4<S>,
+    shear: ShearRay,
     t_min: f32,
 }
 
@@ -92,7 +92,6 @@ impl<S: Simd> LocalRay<S> {
         let splat = |value| f32x4::splat(simd, value);
         Self {
             origin: slab.origin.to_array(),
-            direction: direction.to_array(),
             scales: each(
                 slab.reciprocal.to_array(),
                 #[inline(always)]
@@ -101,11 +100,12 @@ impl<S: Simd> LocalRay<S> {
             near: slab.reciprocal.to_array().map(|r| usize::from(r < 0.0)),
             octant: [0, 1, 2].iter().map(|&axis| usize::from(slab.reciprocal[axis] < 0.0) << axis).sum(),
             axes: Axes { order },
-            scale: shear.scale,
+            x_scale: splat(shear.x_row[order[0]]),
             slope_x: splat(shear.x_row[depth_axis]),
             slope_y: splat(shear.y_row[depth_axis]),
             t_scale: splat(shear.t_row[depth_axis]),
             depth_scale: splat(shear.depth_scale),
+            shear: *shear,
             t_min,
         }
     }
@@ -237,18 +237,19 @@ fn cross_four<S: Simd>(
     let x = each(
         [a, b, c],
         #[inline(always)]
-        |[x, _, t]| x * ray.scale + t * ray.slope_x,
+        |[x, _, t]| x * ray.x_scale + t * ray.slope_x,
     );
     let y = each(
         [a, b, c],
         #[inline(always)]
-        |[_, y, t]| y * ray.scale + t * ray.slope_y,
+        |[_, y, t]| y * ray.x_scale + t * ray.slope_y,
     );
     let t = each(
         [a, b, c],
         #[inline(always)]
         |[_, _, t]| t * ray.t_scale,
     );
+    // Seldom more than one of them.
     let crossings = cross(
         simd,
         x,
@@ -256,11 +257,8 @@ fn cross_four<S: Simd>(
         t,
         ray.depth_scale,
         #[inline(always)]
-        || Unsheared {
-            origin: splats(simd, ray.origin),
-            direction: splats(simd, ray.direction),
-            corners: corners(simd, &four, Axes { order: [0, 1, 2] }),
-            scale: ray.scale,
+        |crossed, t, weights| {
+            plane_distances(&ray.shear, &four, crossed, t.map(f32x4::into), weights.map(f32x4::into)).simd_into(simd)
         },
     );
     let Some((mut crossed, crossings)) = crossings else { return t_max };
@@ -278,6 +276,25 @@ fn cross_four<S: Simd>(
         }
     }
     t_max
+}
+
+/// Of those that the ray crosses.
+#[inline(never)]
+fn plane_distances(
+    ray: &ShearRay,
+    four: &[Triangle; 4],
+    mut crossed: u64,
+    t: [[f32; 4]; 3],
+    weights: [[f32; 4]; 3],
+) -> [f32; 4] {
+    let mut distances = [0.0; 4];
+    while crossed != 0 {
+        let lane = crossed.trailing_zeros() as usize & 3;
+        crossed &= crossed - 1;
+        let of_lane = |v: [[f32; 4]; 3]| Vec3::new(v[0][lane], v[1][lane], v[2][lane]);
+        distances[lane] = plane_distance(ray, &four[lane], of_lane(t), of_lane(weights));
+    }
+    distances
 }
 
 /// The instance's own ray.

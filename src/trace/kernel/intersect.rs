@@ -202,22 +202,23 @@ pub(crate) fn cross_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<Cros
         return None;
     }
     weights *= 1.0 / area;
-    let t_plane = plane_distance(ray, triangle, [a, b, c], t, weights);
+    let t_plane = plane_distance(ray, triangle, t, weights);
     let t_hit = min(max(t_plane, min_component(t)), max_component(t));
     Some(Crossing { t: t_hit, u: weights.y, v: weights.z, back })
 }
 
-/// How far it is to the triangle's plane, see point 5; to the corner with the greatest weight, if the ray lies in the plane.
-/// `corners` are relative to the ray's origin, and `t` is theirs.
-fn plane_distance(ray: &ShearRay, triangle: &Triangle, corners: [Vec3; 3], t: Vec3, weights: Vec3) -> f32 {
+/// How far it is to the triangle's plane, see point 5; to the corner with the greatest weight, if the ray lies in the plane. `t` is
+/// that of the corners.
+#[inline]
+pub(crate) fn plane_distance(ray: &ShearRay, triangle: &Triangle, t: Vec3, weights: Vec3) -> f32 {
     let [v0, v1, v2] = [triangle.v0, triangle.v1, triangle.v2].map(Vec3::from_array);
     let normal = cross3((v1 - v0) * ray.scale, (v2 - v0) * ray.scale);
     let (corner, corner_t) = if weights.x >= weights.y && weights.x >= weights.z {
-        (corners[0], t.x)
+        (v0 - ray.origin, t.x)
     } else if weights.y >= weights.z {
-        (corners[1], t.y)
+        (v1 - ray.origin, t.y)
     } else {
-        (corners[2], t.z)
+        (v2 - ray.origin, t.z)
     };
     let (height, slope) = (dot3(normal, corner), dot3(normal, ray.direction));
     // The quotient would not be a number.
