@@ -8,7 +8,7 @@ use super::packet::LANES;
 use super::single::Stack;
 use crate::device::layout::{Hit, Ray};
 use crate::trace::Layout;
-use crate::trace::kernel::{KernelScene, Traverse, any_hit, closest_hit, light_through_layers, transmittance};
+use crate::trace::kernel::{KernelScene, Traverse, any_hit, closest_hit, transmittance};
 use crate::trace::queries::{Any, Closest, Query, Transmittance};
 
 /// What a task traces rays with.
@@ -125,10 +125,7 @@ impl<'a> Traverse<'a> for Rays<'a> {
 
     fn transmittance(&mut self, ray: &Ray, ray_mask: u32) -> Vec3 {
         match self.lanes {
-            Some(level) => match self.ask::<Transmittance>(level, ray, ray_mask) {
-                Transmittance { light, has_layers: false, .. } => light,
-                Transmittance { light, .. } => light * light_through_layers(self.scene, ray, ray_mask),
-            },
+            Some(level) => self.ask::<Transmittance>(level, ray, ray_mask).light(self.scene, ray, ray_mask),
             None => transmittance(self.scene, ray, ray_mask),
         }
     }

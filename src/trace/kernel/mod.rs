@@ -23,7 +23,7 @@ pub(crate) use intersect::{
 };
 pub(crate) use material::is_hole;
 pub(crate) use traverse::{
-    Traverse, any_hit, closest_hit, count_any, count_closest, is_closer, is_layered, light_through_layers, passes_at,
+    Traverse, any_hit, closest_hit, count_any, count_closest, is_layered, light_through_layers, passes_at, take_closer,
     transmittance,
 };
 #[cfg(feature = "gpu")]
