@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 
-use crate::device::layout::{Hit, Instance, InstanceFlags, NONE};
+use crate::device::layout::{Hit, Instance, InstanceFlags, NONE, Triangle};
 use crate::trace::kernel::{KernelScene, is_closer, is_hole, is_layered, max_component, passes_at};
 
 /// A crossing of the ray and a triangle.
@@ -74,7 +74,7 @@ impl Query for Closest {
 /// See [`any_hit`](crate::trace::kernel::any_hit).
 #[derive(Clone, Copy)]
 pub(crate) struct Any {
-    t_max: f32,
+    pub(crate) t_max: f32,
     pub(crate) is_hit: bool,
 }
 
@@ -87,7 +87,7 @@ impl Query for Any {
     #[inline(always)]
     fn cross(&mut self, scene: &KernelScene<'_>, _: u32, instance: &Instance, candidate: &Candidate) {
         let triangle = &scene.triangles[candidate.triangle as usize];
-        if max_component(passes_at(scene, instance, triangle, candidate.u, candidate.v)) <= 0.0 {
+        if stops(scene, instance, triangle, candidate.u, candidate.v) {
             *self = Self { t_max: f32::NEG_INFINITY, is_hit: true };
         }
     }
@@ -96,6 +96,11 @@ impl Query for Any {
     fn t_max(&self) -> f32 {
         self.t_max
     }
+}
+
+/// Whether no light passes a triangle at a point.
+pub(crate) fn stops(scene: &KernelScene<'_>, instance: &Instance, triangle: &Triangle, u: f32, v: f32) -> bool {
+    max_component(passes_at(scene, instance, triangle, u, v)) <= 0.0
 }
 
 /// See [`transmittance`](crate::trace::kernel::transmittance).
