@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 
-use crate::device::layout::{Hit, Instance, NONE, Ray};
+use crate::device::layout::{Hit, Instance, NONE, Ray, Triangle};
 use crate::trace::kernel::{KernelScene, is_layered, light_through_layers, max_component, passes_at, take_closer};
 
 /// A crossing of the ray and a triangle.
@@ -60,7 +60,7 @@ impl Query for Closest {
 /// See [`any_hit`](crate::trace::kernel::any_hit).
 #[derive(Clone, Copy)]
 pub(crate) struct Any {
-    t_max: f32,
+    pub(crate) t_max: f32,
     pub(crate) is_hit: bool,
 }
 
@@ -73,7 +73,7 @@ impl Query for Any {
     #[inline(always)]
     fn cross(&mut self, scene: &KernelScene<'_>, _: u32, instance: &Instance, candidate: &Candidate) {
         let triangle = &scene.triangles[candidate.triangle as usize];
-        if max_component(passes_at(scene, instance, triangle, candidate.u, candidate.v)) <= 0.0 {
+        if stops(scene, instance, triangle, candidate.u, candidate.v) {
             *self = Self { t_max: f32::NEG_INFINITY, is_hit: true };
         }
     }
@@ -84,13 +84,18 @@ impl Query for Any {
     }
 }
 
+/// Whether no light passes a triangle at a point.
+pub(crate) fn stops(scene: &KernelScene<'_>, instance: &Instance, triangle: &Triangle, u: f32, v: f32) -> bool {
+    max_component(passes_at(scene, instance, triangle, u, v)) <= 0.0
+}
+
 /// See [`transmittance`](crate::trace::kernel::transmittance).
 #[derive(Clone, Copy)]
 pub(crate) struct Transmittance {
     t_max: f32,
-    light: Vec3,
+    pub(crate) light: Vec3,
     /// Whether there are layered instances, which are left out.
-    has_layers: bool,
+    pub(crate) has_layers: bool,
 }
 
 impl Transmittance {
