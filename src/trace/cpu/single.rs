@@ -1,16 +1,16 @@
 //! One ray of a packet: eight boxes at once, four triangles at once.
 
+use bytemuck::Zeroable as _;
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x4, f32x8, f32x16, u8x16};
-use glam::Vec3;
 
 use super::answers::{Answers, Place};
 use super::lanes::{each, lanes_of, near_first, planes, steps};
 use super::local::LocalPacket;
-use super::triangles::{Shear, corners_of_four, cross};
+use super::triangles::{Shear, Unsheared, by_corner, corners_of_four, cross, first_four, lowest_four, plane_distances};
 use super::walk::{Stack, Walker, met, range, walk};
 use crate::device::layout::{PrimitiveRange, Triangle, WideNode};
-use crate::trace::kernel::{BOX_SLACK, ShearRay, plane_distance};
+use crate::trace::kernel::BOX_SLACK;
 use crate::trace::queries::{Candidate, Query};
 
 /// The rays of these lanes, one by one, from the node of index `root` on. A function of its own: it needs all registers.
@@ -56,8 +56,7 @@ pub(super) struct Single<'a, S: Simd, Q> {
     from: [f32x16<S>; 3],
     shear: Shear<f32x16<S>>,
     depth_scale: f32x4<S>,
-    /// As [`plane_distance`] has it.
-    ray: ShearRay,
+    direction: [f32x4<S>; 3],
 }
 
 impl<'a, S: Simd, Q: Query> Single<'a, S, Q> {
@@ -97,12 +96,11 @@ impl<'a, S: Simd, Q: Query> Single<'a, S, Q> {
                 t_scale: of_lane(&rays.shear.t_scale),
             },
             depth_scale: f32x4::splat(simd, rays.depth_scale.as_array()[lane]),
-            ray: ShearRay {
-                origin: vector_of_lane(&rays.origins, lane),
-                direction: vector_of_lane(&rays.directions, lane),
-                scale: -rays.shear.minus_scale.as_array()[lane],
-                ..ShearRay::default()
-            },
+            direction: each(
+                rays.directions,
+                #[inline(always)]
+                |d| f32x4::splat(simd, d.as_array()[lane]),
+            ),
             query,
         }
     }
@@ -112,27 +110,35 @@ impl<'a, S: Simd, Q: Query> Single<'a, S, Q> {
     fn cross_four(&mut self, first: u32, count: u32) -> bool {
         let simd = self.simd;
         let triangles = &self.triangles[first as usize..];
-        let few;
-        let four = match triangles.first_chunk() {
-            Some(four) => four,
-            None => {
-                few = std::array::from_fn(|i| triangles[i.min(triangles.len() - 1)]);
-                &few
-            }
-        };
+        let mut few = [Triangle::zeroed(); 4];
+        let four = first_four(triangles, &mut few);
         let lanes = (1 << count) - 1;
         let p = corners_of_four(simd, four, self.axes);
         let [x, y, t] = self.shear.see([self.from[0] - p[0], self.from[1] - p[1]], p[2] - self.from[2]);
         let corners = [by_corner(x), by_corner(y), by_corner(t)];
-        // Seldom more than one of them.
         let crossings = cross(
             simd,
             lanes,
             corners,
             self.depth_scale,
             #[inline(always)]
-            |crossed, t, weights| {
-                plane_distances(&self.ray, four, crossed, t.map(f32x4::into), weights.map(f32x4::into)).simd_into(simd)
+            |t, weights| {
+                let [x, y, z] = each(
+                    corners_of_four(simd, four, [0, 1, 2]),
+                    #[inline(always)]
+                    |v| by_corner(v),
+                );
+                let unsheared = Unsheared {
+                    origin: each(
+                        self.origin,
+                        #[inline(always)]
+                        |o| lowest_four(o),
+                    ),
+                    direction: self.direction,
+                    corners: [[x[0], y[0], z[0]], [x[1], y[1], z[1]], [x[2], y[2], z[2]]],
+                    scale: -lowest_four(self.shear.minus_scale),
+                };
+                plane_distances(&unsheared, t, weights)
             },
         );
         let Some((mut crossed, crossings)) = crossings else { return false };
@@ -154,38 +160,6 @@ impl<'a, S: Simd, Q: Query> Single<'a, S, Q> {
         self.range = range(self.t_min, self.t_max());
         self.query.t_max() != before
     }
-}
-
-#[inline(always)]
-fn vector_of_lane<S: Simd>(v: &[f32x16<S>; 3], lane: usize) -> Vec3 {
-    Vec3::new(v[0].as_array()[lane], v[1].as_array()[lane], v[2].as_array()[lane])
-}
-
-/// Of those that the ray crosses.
-#[inline(never)]
-fn plane_distances(
-    ray: &ShearRay,
-    four: &[Triangle; 4],
-    mut crossed: u64,
-    t: [[f32; 4]; 3],
-    weights: [[f32; 4]; 3],
-) -> [f32; 4] {
-    let mut distances = [0.0; 4];
-    while crossed != 0 {
-        let lane = crossed.trailing_zeros() as usize & 3;
-        crossed &= crossed - 1;
-        let of_lane = |v: [[f32; 4]; 3]| Vec3::new(v[0][lane], v[1][lane], v[2][lane]);
-        distances[lane] = plane_distance(ray, &four[lane], of_lane(t), of_lane(weights));
-    }
-    distances
-}
-
-/// A vector for each of three corners.
-#[inline(always)]
-fn by_corner<S: Simd>(v: f32x16<S>) -> [f32x4<S>; 3] {
-    let (ab, c) = v.split();
-    let (a, b) = ab.split();
-    [a, b, c.split().0]
 }
 
 impl<S: Simd, Q: Query> Walker<S> for Single<'_, S, Q> {

@@ -178,7 +178,7 @@ impl<'a, S: Simd, A: Answers> Together<'a, S, A> {
             corners,
             rays.depth_scale,
             #[inline(always)]
-            |_, t, w| {
+            |t, w| {
                 let lanes = Unsheared {
                     origin: rays.origins,
                     direction: rays.directions,

@@ -1,7 +1,7 @@
 //! The triangle test in lanes: one triangle and sixteen rays, or four triangles and one ray.
 
 use fearless_simd::prelude::*;
-use fearless_simd::{Simd, f32x16};
+use fearless_simd::{Simd, f32x4, f32x16};
 
 use super::lanes::{abs, each, greatest, least};
 use crate::device::layout::Triangle;
@@ -61,7 +61,7 @@ fn others<S: Simd, V: SimdFloat<S>>(v: [V; 3]) -> [V; 3] {
 }
 
 /// [`cross_triangle`](crate::trace::kernel::cross_triangle) in the lanes of `lanes`, with the same roundings: `x`, `y` and `t` are
-/// the three corners'. Returns the lanes that cross. `plane_distance`, given these lanes and the corners' t and weights, is the kernel's.
+/// the three corners'. Returns the lanes that cross. `plane_distance`, given the corners' t and weights, is the kernel's.
 ///
 /// The edges come first. Where the ray is inside all of them by more than the tolerance, it is not beside the triangle either, so that
 /// this is asked only where it is close to an edge.
@@ -71,7 +71,7 @@ pub(super) fn cross<S: Simd, V: SimdFloat<S, Element = f32>>(
     lanes: u64,
     [x, y, t]: [[V; 3]; 3],
     depth_scale: V,
-    plane_distance: impl FnOnce(u64, [V; 3], [V; 3]) -> V,
+    plane_distance: impl FnOnce([V; 3], [V; 3]) -> V,
 ) -> Option<(u64, Crossings<V>)> {
     let zero = V::splat(simd, 0.0);
     let w = [x[2] * y[1] - y[2] * x[1], x[0] * y[2] - y[0] * x[2], x[1] * y[0] - y[1] * x[0]];
@@ -122,7 +122,7 @@ pub(super) fn cross<S: Simd, V: SimdFloat<S, Element = f32>>(
         #[inline(always)]
         |w| w * scale,
     );
-    let t_hit = plane_distance(crossed, t, w).max(least(t)).min(greatest(t));
+    let t_hit = plane_distance(t, w).max(least(t)).min(greatest(t));
     Some((crossed, Crossings { t: t_hit, u: w[1], v: w[2], back: back.to_bitmask() }))
 }
 
@@ -168,6 +168,31 @@ fn dot<S: Simd, V: SimdFloat<S, Element = f32>>(a: [V; 3], b: [V; 3]) -> V {
     (a[0] * b[0] + a[1] * b[1]) + a[2] * b[2]
 }
 
+/// The first four triangles; where there are fewer, the last over and over.
+#[inline(always)]
+pub(super) fn first_four<'a>(triangles: &'a [Triangle], few: &'a mut [Triangle; 4]) -> &'a [Triangle; 4] {
+    match triangles.first_chunk() {
+        Some(four) => four,
+        None => {
+            *few = std::array::from_fn(|i| triangles[i.min(triangles.len() - 1)]);
+            few
+        }
+    }
+}
+
+/// A vector for each of three corners, as [`corners_of_four`] has them.
+#[inline(always)]
+pub(super) fn by_corner<S: Simd>(v: f32x16<S>) -> [f32x4<S>; 3] {
+    let (ab, c) = v.split();
+    let (a, b) = ab.split();
+    [a, b, c.split().0]
+}
+
+#[inline(always)]
+pub(super) fn lowest_four<S: Simd>(v: f32x16<S>) -> f32x4<S> {
+    v.split().0.split().0
+}
+
 /// Coordinates of the corners of four triangles along three axes: four first corners, four second, four third, four of no meaning.
 #[inline(always)]
 pub(super) fn corners_of_four<S: Simd>(simd: S, triangles: &[Triangle; 4], axes: [usize; 3]) -> [f32x16<S>; 3] {
@@ -195,11 +220,11 @@ mod x86 {
     use fearless_simd::f32x16;
     use fearless_simd::prelude::*;
 
-    /// For each axis where its lanes come from: of the first 32 of 48 words, then of those lanes and the last 16 words.
-    static SOURCES: [[[u32; 16]; 2]; 3] = {
-        let mut sources = [[[0; 16]; 2]; 3];
+    /// For each axis, and for what stands after z, where its lanes come from: of the first 32 of 48 words, then of those lanes and the last 16 words.
+    static SOURCES: [[[u32; 16]; 2]; 4] = {
+        let mut sources = [[[0; 16]; 2]; 4];
         let mut i = 0;
-        while i < 3 * 16 {
+        while i < 4 * 16 {
             let (axis, lane) = (i / 16, i % 16);
             let word = lane % 4 * 12 + lane / 4 % 3 * 4 + axis;
             sources[axis][0][lane] = word as u32 % 32;
@@ -215,7 +240,7 @@ mod x86 {
             let load = |i: usize| -> __m512 { f32x16::simd_from(avx512, words[i]).into() };
             let [a, b, c] = [load(0), load(1), load(2)];
             let along = |axis: usize| {
-                let [first, second] = &SOURCES[axis % 3];
+                let [first, second] = &SOURCES[axis % 4];
                 let first = fearless_simd::u32x16::simd_from(avx512, *first).into();
                 let second = fearless_simd::u32x16::simd_from(avx512, *second).into();
                 let v = _mm512_permutex2var_ps(_mm512_permutex2var_ps(a, first, b), second, c);
