@@ -1,4 +1,4 @@
-// Near children first: the top level's nodes of two children, then the bottom levels' of eight, with short stacks. Twin of
+// Near children first: the top level's nodes of two children, then the bottom levels' of eight, with one short stack. Twin of
 // src/trace/kernel/wide.rs: see there.
 
 const TOP_STACK: u32 = 16u;
