@@ -19,11 +19,11 @@ mod wide;
 pub(crate) use camera::camera_ray;
 pub(crate) use intersect::{
     BOX_SLACK, CORNER_TOLERANCE, EDGE_TOLERANCE, LEAST_COMPONENT, LEAST_SHARE, ShearRay, SlabRay, cross_triangle,
-    max_component, meets_box, reciprocal_power_of_two, shear_ray, slab_ray,
+    max_component, meets_box, plane_distance, shear_ray, slab_ray,
 };
 pub(crate) use material::is_hole;
 pub(crate) use traverse::{
-    Traverse, any_hit, closest_hit, count_any, count_closest, is_closer, is_layered, light_through_layers, passes_at,
+    Traverse, any_hit, closest_hit, count_any, count_closest, is_layered, light_through_layers, passes_at, take_closer,
     transmittance,
 };
 #[cfg(feature = "gpu")]
