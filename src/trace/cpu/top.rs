@@ -87,6 +87,8 @@ impl<S: Simd> Slabs<S> {
 }
 
 /// Shows nodes to `visit`, which is told the instance where it is a leaf, and says whether to go on below.
+///
+/// The stack is never too short for a [`TopLevel`]. One made by hand may be deeper: what has no room is walked along escape indices.
 #[inline(always)]
 fn walk_nodes(nodes: &[Node], direction: Vec3, mut visit: impl FnMut(&Node, Option<u32>) -> bool) {
     // A hierarchy of nothing is absent or zero.
@@ -99,13 +101,25 @@ fn walk_nodes(nodes: &[Node], direction: Vec3, mut visit: impl FnMut(&Node, Opti
     }
     let mut stack = [0; TopLevel::MAX_DEPTH + 1];
     let mut waiting = 1;
-    while waiting > 0 {
-        waiting -= 1;
-        let index = stack[waiting];
+    // What is left to be walked along escape indices.
+    let mut rope = 0..0;
+    while waiting > 0 || !rope.is_empty() {
+        let on_rope = !rope.is_empty();
+        let index = if on_rope {
+            rope.start
+        } else {
+            waiting -= 1;
+            stack[waiting]
+        };
         let node = &nodes[index as usize];
         let is_leaf = node.primitives != PrimitiveRange::INNER;
-        if visit(node, is_leaf.then(|| node.primitives.first())) && !is_leaf && !node.is_unused() {
-            let left = index + 1;
+        let opens = visit(node, is_leaf.then(|| node.primitives.first())) && !is_leaf && !node.is_unused();
+        let left = index + 1;
+        if on_rope {
+            rope.start = if opens { left } else { node.escape_index };
+        } else if opens && waiting + 2 > stack.len() {
+            rope = left..node.escape_index;
+        } else if opens {
             let right = nodes[left as usize].escape_index;
             let from_left = center(&nodes[right as usize]) - center(&nodes[left as usize]);
             let [near, far] = if from_left.dot(direction) < 0.0 { [right, left] } else { [left, right] };

@@ -114,7 +114,7 @@ mod tests {
             offset { HALF_ULP, TRANSFORM_ERROR, EDGE_ERROR }
             sky { OVERLAP_FIT_6, OVERLAP_FIT_4, OVERLAP_FIT_2, OVERLAP_FIT_0 }
             brdf { MIRROR_ROUGHNESS, HIGHLIGHT_ROUGHNESS }
-            wide { TOP_STACK, WIDE_STACK, WAITING_BITS, MISSED }
+            wide { TOP_STACK, TOP_LEAF, WIDE_STACK, WAITING_BITS, MISSED }
             whitted { MAX_DEPTH, MAX_LAYERS, MAX_RAYS, MIN_THROUGHPUT, MAX_PENDING }
         };
         let others = [
