@@ -133,3 +133,72 @@ impl<'a> Traverse<'a> for Rays<'a> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::compile::Compiler;
+    use crate::{Core, Geometry, Material, Scene};
+
+    /// Numbers between -1 and 1, by a linear congruence.
+    fn random(state: &mut u64) -> f32 {
+        *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (*state >> 40) as f32 / (1 << 23) as f32 - 1.0
+    }
+
+    /// The widest lanes are those that every other test runs with: here are all that this processor has.
+    #[test]
+    fn all_lanes_meet_what_the_kernel_meets() {
+        let state = &mut 1;
+        let mut vector = |scale: f32| Vec3::new(random(state), random(state), random(state)) * scale;
+        let corners: Vec<Vec3> = (0..600)
+            .flat_map(|_| {
+                let (at, a, b) = (vector(1.0), vector(0.2), vector(0.2));
+                [at, at + a, at + b]
+            })
+            .collect();
+        let mut scene = Scene::new();
+        let indices: Vec<[u32; 3]> = (0..600).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
+        let geometry = Geometry::new(corners, indices);
+        let core = Core::Geometry {
+            geometry: scene.add_geometry(geometry).unwrap(),
+            material: scene.add_material(Material::default()).unwrap(),
+        };
+        scene.add(scene.root(), core).unwrap();
+        let mut compiler = Compiler::default();
+        compiler.compile(&mut scene, glam::DVec3::ZERO).unwrap();
+
+        // Packets that start at a point and go much the same way, then packets that do not; the last one is not full.
+        let rays: Vec<Ray> = (0..2_007)
+            .map(|i| {
+                let origin = if i < 1_000 { Vec3::new(0.3, 0.2, 3.0) } else { vector(2.0) };
+                let aim = Vec3::new((i / 16 % 16) as f32 / 8.0 - 1.0, (i / 256) as f32 / 2.0 - 1.0, 0.0);
+                let direction = if i < 1_000 { aim + vector(0.05) - origin } else { vector(1.0) };
+                Ray { origin: origin.to_array(), t_min: 0.0, direction: direction.to_array(), t_max: f32::MAX }
+            })
+            .collect();
+        let scene = KernelScene::with_layout(compiler.arrays(), Layout::Wide);
+        let trace = |lanes: Option<Level>| {
+            let mut tracer = Rays { scene: &scene, lanes, memory: Memory::default() };
+            let (mut hits, mut any) = (vec![Hit::MISS; rays.len()], vec![false; rays.len()]);
+            tracer.closest_hits(&rays, u32::MAX, &mut hits);
+            tracer.any_hits(&rays, u32::MAX, &mut any);
+            let single: Vec<Hit> = rays.iter().map(|ray| tracer.closest_hit(ray, u32::MAX)).collect();
+            assert_eq!(single, hits, "{lanes:?}");
+            (hits, any)
+        };
+        let expected = trace(None);
+        let met = expected.1.iter().filter(|&&hit| hit).count();
+        assert!((300..1_900).contains(&met), "{met}");
+        let level = Level::new();
+        #[cfg(target_arch = "x86_64")]
+        let all = [level.as_avx512().map(Level::Avx512), level.as_avx2().map(Level::Avx2)];
+        #[cfg(not(target_arch = "x86_64"))]
+        let all = [lanes()];
+        let tested = all.into_iter().flatten().filter(|&lanes| {
+            assert_eq!(trace(Some(lanes)), expected, "{lanes:?}");
+            true
+        });
+        assert_eq!(tested.count() > 0, lanes().is_some(), "{level:?}");
+    }
+}

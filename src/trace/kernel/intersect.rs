@@ -299,7 +299,7 @@ mod tests {
     /// Point 5 of the proof: t by the same formula in f64, and how far f32, which rounds to nearest, may be off. The factor two
     /// covers the terms of second order. `None` where the plane is anybody's guess.
     fn plane_t_and_bound(ray: &ShearRay, corners: [Vec3; 3], weights: [f32; 3]) -> Option<(f64, f64)> {
-        let [v0, v1, v2] = corners.map(|v| v.as_dvec3());
+        let [v0, v1, v2] = corners.map(Vec3::as_dvec3);
         let (origin, direction) = (ray.origin.as_dvec3(), ray.direction.as_dvec3());
         let (a, b) = (v1 - v0, v2 - v0);
         let products = [[a.y * b.z, a.z * b.y], [a.z * b.x, a.x * b.z], [a.x * b.y, a.y * b.x]];
