@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use rayon::ThreadPool;
 use ropewalk::device::DeviceArrays;
-use ropewalk::trace::{Cpu, Emulated, FrameRequest, Layout, Recursive, Tracer};
+use ropewalk::trace::{Counts, Cpu, Emulated, FrameCounts, FrameRequest, Layout, Recursive, Tracer};
 #[cfg(feature = "gpu")]
 use ropewalk_bench::gpu;
 use ropewalk_bench::scenes::BenchScene;
@@ -37,6 +37,24 @@ enum Clock {
     ReadBack,
 }
 
+impl Clock {
+    /// The time of a frame whose call took so long.
+    #[cfg_attr(not(feature = "gpu"), expect(unused_variables, reason = "for the GPU"))]
+    fn read(self, call: Duration, tracer: &dyn Tracer) -> Option<Duration> {
+        match self {
+            Self::Call => Some(call),
+            #[cfg(feature = "gpu")]
+            Self::Gpu => tracer.trace_time(),
+            #[cfg(feature = "gpu")]
+            Self::ReadBack => {
+                let mut is_read = false;
+                let read = time(|| is_read = tracer.read().is_ok());
+                is_read.then_some(call + read)
+            }
+        }
+    }
+}
+
 impl Executor<'_> {
     /// Traces the frame once. Without end if that fails.
     pub fn trace(&mut self, arrays: &DeviceArrays, request: &FrameRequest) -> Duration {
@@ -44,20 +62,36 @@ impl Executor<'_> {
         let traced = pool.install(|| {
             let mut result = Ok(());
             let call = time(|| result = tracer.render(arrays, request));
-            result.ok().and_then(|()| match clock {
-                Clock::Call => Some(call),
-                #[cfg(feature = "gpu")]
-                Clock::Gpu => tracer.trace_time(),
-                #[cfg(feature = "gpu")]
-                Clock::ReadBack => {
-                    let mut is_read = false;
-                    let read = time(|| is_read = tracer.read().is_ok());
-                    is_read.then_some(call + read)
-                }
-            })
+            result.ok()?;
+            clock.read(call, &**tracer)
         });
         traced.unwrap_or(Duration::MAX)
     }
+
+    /// The colours of the last frame.
+    pub fn image(&self) -> Result<Vec<[f32; 4]>> {
+        Ok(self.tracer.read()?.color)
+    }
+}
+
+/// What the frame costs each of them. The packets of `cpu` and recursion have no counts of a frame, but trace the same rays.
+pub fn counts<'a>(
+    executors: &[Executor<'_>],
+    request: &FrameRequest,
+    arrays: impl Fn(&Executor<'_>) -> &'a DeviceArrays,
+) -> Vec<FrameCounts> {
+    let walk = |executor: &Executor| Some((executor.layout?, executor.walks_paper));
+    let mut counted: Vec<((Layout, bool), FrameCounts)> = Vec::new();
+    for executor in executors {
+        let Some(walk) = walk(executor) else { continue };
+        if counted.iter().all(|(other, _)| *other != walk) {
+            counted.push((walk, Emulated::default().with_layout(walk.0).count_frame(arrays(executor), request)));
+        }
+    }
+    let rays = counted.first().map_or(FrameCounts::default(), |(_, counts)| *counts);
+    let rays = FrameCounts { work: Counts::default(), ..rays };
+    let of = |executor: &Executor| counted.iter().find(|(other, _)| Some(*other) == walk(executor));
+    executors.iter().map(|executor| of(executor).map_or(rays, |(_, counts)| *counts)).collect()
 }
 
 /// All of them, those of the paper first. Where there is no GPU, says so.
@@ -81,7 +115,7 @@ pub fn executors<'a>(
         Executor {
             paper_column: Some(PaperColumn::Recursive),
             walks_paper: true,
-            ..new("recursive, paper's structure", Box::new(Recursive::default()), one)
+            ..new("recursive, paper's structure", Box::<Recursive>::default(), one)
         },
         Executor {
             paper_column: Some(PaperColumn::Emulated),
@@ -91,8 +125,8 @@ pub fn executors<'a>(
         },
         Executor { layout: Some(Layout::Rope), ..new("emulated, rope", emulated(Layout::Rope), one) },
         Executor { layout: Some(Layout::Wide), ..new("emulated, wide", emulated(Layout::Wide), one) },
-        new("cpu, 1 thread", Box::new(Cpu::default()), one),
-        new(&format!("cpu, {} threads", all.current_num_threads()), Box::new(Cpu::default()), all),
+        new("cpu, 1 thread", Box::<Cpu>::default(), one),
+        new(&format!("cpu, {} threads", all.current_num_threads()), Box::<Cpu>::default(), all),
     ];
     for executor in &mut executors {
         executor.tracer.upload(if executor.walks_paper { &mut *paper } else { scene.compiler.arrays_mut() })?;

@@ -14,7 +14,7 @@ use std::process::ExitCode;
 use clap::Parser;
 use glam::Vec3;
 use rayon::{ThreadPool, ThreadPoolBuilder};
-use ropewalk::trace::{Counts, Emulated, FrameCounts, FrameRequest};
+use ropewalk::trace::{FrameCounts, FrameRequest};
 use ropewalk::{Light, Material, Transform};
 use ropewalk_bench::layouts::paper_arrays;
 use ropewalk_bench::scenes::{BenchScene, ImageSize, Recipe, SCENES};
@@ -43,6 +43,8 @@ pub enum PaperColumn {
 
 /// How much smaller an image is along each side when it must be quick.
 const QUICK_PART: u32 = 4;
+/// By how much a pixel's colour may differ from another executor's: a quarter of an 8-bit step.
+const SAME: f32 = 1e-3;
 /// What part of the light that a surface does not mirror goes through it.
 const TRANSMISSION: f32 = 0.5;
 
@@ -96,6 +98,8 @@ pub struct Measured {
     seconds: f64,
     /// The rays, and their work where somebody counted it.
     counts: FrameCounts,
+    /// Pixels that are not those of the first executor.
+    other_pixels: usize,
 }
 
 impl Measured {
@@ -122,6 +126,7 @@ fn measure_all(options: &Options) -> Result<Report> {
         "nodes a ray",
         "triangles a ray",
         "bytes a ray",
+        "other pixels",
     ];
     let mut report = Report::new(&columns);
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
@@ -183,11 +188,11 @@ fn measure_scene(
         }
         let times = medians(if options.quick { 3 } else { 5 }, &mut contenders);
         drop(contenders);
-        // The packets of `cpu` have no count a ray, but trace the same rays.
-        let counted = Emulated::default().count_frame(scene.arrays(), &request);
-        let rays = FrameCounts { work: Counts::default(), ..counted };
-        for (executor, time) in executors.iter().zip(times) {
-            let kernel = executor.layout.map(|layout| Emulated::default().with_layout(layout));
+        let truth = executors[0].image()?;
+        let counts = frame::counts(&executors, &request, arrays);
+        for ((executor, time), counts) in executors.iter().zip(times).zip(counts) {
+            let image = executor.image()?;
+            let differs = |(a, b): &(&[f32; 4], &[f32; 4])| a.iter().zip(*b).any(|(a, b)| (a - b).abs() > SAME);
             measured.push(Measured {
                 scene: scene.name,
                 triangles: scene.triangle_count(),
@@ -195,7 +200,8 @@ fn measure_scene(
                 executor: executor.name.clone(),
                 paper_column: executor.paper_column,
                 seconds: time.as_secs_f64(),
-                counts: kernel.map_or(rays, |kernel| kernel.count_frame(arrays(executor), &request)),
+                counts,
+                other_pixels: truth.len().abs_diff(image.len()) + truth.iter().zip(&image).filter(differs).count(),
             });
         }
     }
@@ -232,5 +238,6 @@ fn add_row(figure: &Measured, all: &[Measured], options: &Options, report: &mut 
         a_ray(work.nodes),
         a_ray(work.triangles),
         a_ray(work.bytes),
+        figure.other_pixels.to_string(),
     ]);
 }

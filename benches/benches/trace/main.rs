@@ -180,7 +180,7 @@ fn open_gpus(options: &Options, paper: &mut DeviceArrays, scene: &mut BenchScene
     });
     let opened: Result<Vec<Gpu>> = opened.into_iter().collect();
     match &opened {
-        Ok(gpus) => println!("{}: gpu: {}", scene.name, gpus[0].name()),
+        Ok(gpus) => println!("{}: {}: {}", scene.name, gpus[0].label(), gpus[0].name()),
         Err(error) => println!("{}: gpu: skipped: {error}", scene.name),
     }
     opened.unwrap_or_default()

@@ -202,3 +202,23 @@ fn geometry(triangles: &[Triangle]) -> Geometry {
     let indices: Vec<[u32; 3]> = (0..positions.len() as u32 / 3).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
     Geometry::new(positions, indices)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenes::{ImageSize, SCENES};
+
+    #[test]
+    fn the_papers_structure_holds_the_same_triangles_one_a_leaf() {
+        let scene = SCENES.iter().find(|recipe| recipe.name == "sphere").unwrap().load(ImageSize::Paper).unwrap();
+        let paper = paper_arrays(scene.arrays()).unwrap();
+        let by_primitive = |arrays: &DeviceArrays| {
+            let corners = |t: &Triangle| (t.primitive, [t.v0, t.v1, t.v2].map(|corner| corner.map(f32::to_bits)));
+            arrays.triangles.iter().map(corners).collect::<BTreeMap<_, _>>()
+        };
+        assert_eq!(paper.triangles.len(), 10_000);
+        assert_eq!(by_primitive(&paper), by_primitive(scene.arrays()));
+        assert!(leaves(&paper.blas_nodes).all(|(_, count)| count == 1));
+        assert_eq!(leaves(&paper.blas_nodes).count(), 10_000);
+    }
+}
