@@ -12,8 +12,10 @@ use std::process::ExitCode;
 
 use clap::Parser;
 use glam::DVec3;
+use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
-use ropewalk::device::layout::NONE;
+use ropewalk::device::DeviceArrays;
+use ropewalk::device::layout::{NONE, Ray};
 use ropewalk::trace::{Counts, Cpu, Emulated, Layout};
 use ropewalk::{Camera, Scene, View};
 #[cfg(feature = "gpu")]
@@ -173,7 +175,7 @@ fn measure_size(
         let mut entries: Vec<Entry> = Vec::new();
         for (name, layout) in [("emulated, rope", Layout::Rope), ("emulated, wide", Layout::Wide)] {
             let kernel = Emulated::default().with_layout(layout);
-            let counts = Some(kernel.count_closest_hits(arrays, rays, NONE));
+            let counts = Some(work(&kernel, arrays, rays));
             let runner = Box::new(Traced::new(kernel, &pools[0], arrays, rays, kind));
             entries.push(Entry { name: name.to_owned(), runner, counts });
         }
@@ -233,6 +235,17 @@ fn measure_size(
         }
     }
     Ok(())
+}
+
+/// What the rays cost, counted by all threads.
+fn work(kernel: &Emulated, arrays: &DeviceArrays, rays: &[Ray]) -> Counts {
+    const CHUNK: usize = 1 << 12;
+    let counts: Vec<Counts> =
+        rays.par_chunks(CHUNK).map(|rays| kernel.count_closest_hits(arrays, rays, NONE)).collect();
+    counts.into_iter().fold(Counts::default(), |mut sum, counts| {
+        sum += counts;
+        sum
+    })
 }
 
 /// The points of each curve, in the order in which curves first appear.
