@@ -15,9 +15,12 @@ struct SlabRay {
 // A ray as triangles see it: the rows of a shear that takes it to the z axis, and of what takes points to t.
 struct ShearRay {
     origin: vec3<f32>,
+    direction: vec3<f32>,
     x_row: vec3<f32>,
     y_row: vec3<f32>,
     t_row: vec3<f32>,
+    // A power of two that takes coordinates to about 1.
+    scale: f32,
     // From t to the unit of the sheared x and y.
     depth_scale: f32,
 }
@@ -92,9 +95,9 @@ fn shear_ray(origin: vec3<f32>, direction: vec3<f32>, extent: f32) -> ShearRay {
     }
     // Looking down the axis swaps left and right: swap back, so that the winding stays.
     if depth < 0.0 {
-        return ShearRay(origin, y_row * scale, x_row * scale, t_row, -depth * scale);
+        return ShearRay(origin, direction, y_row * scale, x_row * scale, t_row, scale, -depth * scale);
     }
-    return ShearRay(origin, x_row * scale, y_row * scale, t_row, depth * scale);
+    return ShearRay(origin, direction, x_row * scale, y_row * scale, t_row, scale, depth * scale);
 }
 
 fn cross_triangle(ray: ShearRay, triangle: Triangle) -> Crossing {
@@ -146,6 +149,29 @@ fn cross_triangle(ray: ShearRay, triangle: Triangle) -> Crossing {
         return Crossing();
     }
     weights = weights * (1.0 / area);
-    let t_hit = min(max(dot3(weights, t), min_component(t)), max_component(t));
+    let t_plane = plane_distance(ray, triangle, t, weights);
+    let t_hit = min(max(t_plane, min_component(t)), max_component(t));
     return Crossing(t_hit, weights.y, weights.z, back, true);
+}
+
+// How far it is to the triangle's plane; to the corner with the greatest weight, if the ray lies in the plane. `t` is that of the
+// corners.
+fn plane_distance(ray: ShearRay, triangle: Triangle, t: vec3<f32>, weights: vec3<f32>) -> f32 {
+    let normal = cross3((triangle.v1 - triangle.v0) * ray.scale, (triangle.v2 - triangle.v0) * ray.scale);
+    var corner = triangle.v2 - ray.origin;
+    var corner_t = t.z;
+    if weights.x >= weights.y && weights.x >= weights.z {
+        corner = triangle.v0 - ray.origin;
+        corner_t = t.x;
+    } else if weights.y >= weights.z {
+        corner = triangle.v1 - ray.origin;
+        corner_t = t.y;
+    }
+    let height = dot3(normal, corner);
+    let slope = dot3(normal, ray.direction);
+    // The quotient would not be a number.
+    if abs(slope) <= abs(height) * F32_MIN_NORMAL {
+        return corner_t;
+    }
+    return height / slope;
 }

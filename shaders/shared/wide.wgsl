@@ -1,7 +1,8 @@
-// Near children first: the top level's nodes of two children, then the bottom levels' of eight, with short stacks. Twin of
+// Near children first: the top level's nodes of two children, then the bottom levels' of eight, with one short stack. Twin of
 // src/trace/kernel/wide.rs: see there.
 
 const TOP_STACK: u32 = 16u;
+const TOP_LEAF: u32 = 0x80000000u;
 const WIDE_STACK: u32 = 31u;
 const WAITING_BITS: u32 = 255u;
 const MISSED: f32 = -1.0;
@@ -21,15 +22,13 @@ struct Traversal {
     first_triangle: u32,
     flags: u32,
 
-    // A node of the top level: one that is met, or, along escape indices, the next one; NONE where the stack says.
-    index: u32,
-    // What it holds, of one that is met.
-    primitives: u32,
+    // What comes next in the top level: the index of an inner node that is met, or its instance and TOP_LEAF; along escape
+    // indices, the index of the next node; NONE where the stack says.
+    top: u32,
     // Where the walk along escape indices ends; 0 where there is none.
     rope_end: u32,
+    // How many of the top level wait.
     top_count: u32,
-    // Nodes that are met, and where.
-    top_stack: array<vec2<u32>, TOP_STACK>,
 
     // Which way the ray goes along x, y and z.
     octant: u32,
@@ -38,9 +37,11 @@ struct Traversal {
     node: u32,
     waiting: u32,
     near: f32,
+    // How many wait, of both levels.
     count: u32,
-    // The same of the nodes above: where the first begins and who waits share a word.
-    stack: array<vec2<u32>, WIDE_STACK>,
+    // First those of the top level, as `top` has them, and where they begin. Then the wide nodes above: where the first of their
+    // children begins and who waits share a word.
+    stack: array<vec2<u32>, TOP_STACK + WIDE_STACK>,
 }
 
 fn traversal(ray: Ray, ray_mask: u32, near_first: bool) -> Traversal {
@@ -51,16 +52,15 @@ fn traversal(ray: Ray, ray_mask: u32, near_first: bool) -> Traversal {
     t.t_min = ray.t_min;
     t.ray_mask = ray_mask;
     t.instance = NONE;
-    t.index = NONE;
+    t.top = NONE;
     let root = tlas_nodes[0];
     // A hierarchy of nothing is absent or zero, and no escape index leads back to node 0.
     if root.escape_index != 0u {
         if !near_first {
-            t.index = 0u;
+            t.top = 0u;
             t.rope_end = NONE;
         } else if meet_top(t.level, root, ray.t_min, ray.t_max) != MISSED {
-            t.index = 0u;
-            t.primitives = root.primitives;
+            t.top = top_of(0u, root);
         }
     }
     return t;
@@ -85,14 +85,13 @@ fn next_leaf(t: ptr<function, Traversal>, t_max: f32) -> u32 {
 fn step_top(t: ptr<function, Traversal>, t_max: f32) -> bool {
     if (*t).rope_end != 0u {
         step_rope(t, t_max);
-    } else if (*t).index != NONE {
+    } else if (*t).top != NONE {
         open_top(t, t_max);
-    } else if (*t).top_count > 0u {
-        (*t).top_count -= 1u;
-        let waiting = (*t).top_stack[(*t).top_count];
+    } else if (*t).count > 0u {
+        (*t).count -= 1u;
+        let waiting = (*t).stack[(*t).count];
         if bitcast<f32>(waiting.y) <= t_max {
-            (*t).index = waiting.x;
-            (*t).primitives = tlas_nodes[waiting.x].primitives;
+            (*t).top = waiting.x;
         }
     } else {
         return false;
@@ -102,49 +101,62 @@ fn step_top(t: ptr<function, Traversal>, t_max: f32) -> bool {
 
 // Visits the next node along the escape indices.
 fn step_rope(t: ptr<function, Traversal>, t_max: f32) {
-    if (*t).index == (*t).rope_end {
+    if (*t).top == (*t).rope_end {
         (*t).rope_end = 0u;
-        (*t).index = NONE;
+        (*t).top = NONE;
         return;
     }
-    let node = tlas_nodes[(*t).index];
+    let node = tlas_nodes[(*t).top];
     if !meets_box((*t).level, (*t).t_min, t_max, node.min, node.max) {
-        (*t).index = node.escape_index;
+        (*t).top = node.escape_index;
     } else if node.primitives == 0u {
-        (*t).index += 1u;
+        (*t).top += 1u;
     } else {
-        (*t).index = node.escape_index;
+        (*t).top = node.escape_index;
         enter_instance(t, leaf_first(node.primitives), t_max);
     }
 }
 
-// Visits a node that is met.
+// Visits what is met.
 fn open_top(t: ptr<function, Traversal>, t_max: f32) {
-    let left = (*t).index + 1u;
-    if (*t).primitives != 0u {
-        (*t).index = NONE;
-        enter_instance(t, leaf_first((*t).primitives), t_max);
-    } else if (*t).top_count == TOP_STACK {
-        (*t).rope_end = tlas_nodes[(*t).index].escape_index;
-        (*t).index = left;
-    } else {
-        let left_node = tlas_nodes[left];
-        let right = left_node.escape_index;
-        let right_node = tlas_nodes[right];
-        let left_near = meet_top((*t).level, left_node, (*t).t_min, t_max);
-        let right_near = meet_top((*t).level, right_node, (*t).t_min, t_max);
-        let right_first = left_near == MISSED || (right_near != MISSED && right_near < left_near);
-        if left_near != MISSED && right_near != MISSED {
-            let far = select(vec2<u32>(right, bitcast<u32>(right_near)), vec2<u32>(left, bitcast<u32>(left_near)), right_first);
-            (*t).top_stack[(*t).top_count] = far;
-            (*t).top_count += 1u;
-        }
-        (*t).index = select(left, right, right_first);
-        (*t).primitives = select(left_node.primitives, right_node.primitives, right_first);
-        if left_near == MISSED && right_near == MISSED {
-            (*t).index = NONE;
-        }
+    if ((*t).top & TOP_LEAF) != 0u {
+        let instance = (*t).top & ~TOP_LEAF;
+        (*t).top = NONE;
+        enter_instance(t, instance, t_max);
+        return;
     }
+    let left = (*t).top + 1u;
+    if (*t).count == TOP_STACK {
+        (*t).rope_end = tlas_nodes[(*t).top].escape_index;
+        (*t).top = left;
+        return;
+    }
+    let left_node = tlas_nodes[left];
+    let right = left_node.escape_index;
+    let right_node = tlas_nodes[right];
+    let left_near = meet_top((*t).level, left_node, (*t).t_min, t_max);
+    let right_near = meet_top((*t).level, right_node, (*t).t_min, t_max);
+    let left_top = top_of(left, left_node);
+    let right_top = top_of(right, right_node);
+    let right_first = left_near == MISSED || (right_near != MISSED && right_near < left_near);
+    if left_near != MISSED && right_near != MISSED {
+        let far = select(
+            vec2<u32>(right_top, bitcast<u32>(right_near)),
+            vec2<u32>(left_top, bitcast<u32>(left_near)),
+            right_first,
+        );
+        (*t).stack[(*t).count] = far;
+        (*t).count += 1u;
+    }
+    (*t).top = select(left_top, right_top, right_first);
+    if left_near == MISSED && right_near == MISSED {
+        (*t).top = NONE;
+    }
+}
+
+// A node of the top level as `top` has those that are met.
+fn top_of(index: u32, node: Node) -> u32 {
+    return select(leaf_first(node.primitives) | TOP_LEAF, index, node.primitives == 0u);
 }
 
 // Where the ray enters a node's box, rounded down; MISSED if it does not, or there is nothing in it.
@@ -171,7 +183,7 @@ fn enter_instance(t: ptr<function, Traversal>, index: u32, t_max: f32) {
     (*t).first_node = geometries[instances[index].geometry].first_wide_node;
     let backward = select(vec3<u32>(0u), vec3<u32>(1u, 2u, 4u), (*t).level.reciprocal < vec3<f32>(0.0));
     (*t).octant = backward.x | backward.y | backward.z;
-    (*t).count = 0u;
+    (*t).top_count = (*t).count;
     let least = wide_node_at((*t).first_node).origin;
     let greatest = least + wide_steps(wide_node_at((*t).first_node).exponents) * 255.0;
     let extent = max(max_component(abs(least)), max_component(abs(greatest)));
@@ -242,7 +254,7 @@ fn wide_steps(exponents: u32) -> vec3<f32> {
 // The next leaf below the wide nodes that wait, or 0: then there is none, or more to be done.
 fn step_wide(t: ptr<function, Traversal>, t_max: f32) -> u32 {
     if (*t).waiting == 0u {
-        if (*t).count == 0u {
+        if (*t).count == (*t).top_count {
             leave_instance(t);
             return 0u;
         }

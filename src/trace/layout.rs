@@ -12,8 +12,8 @@ use crate::device::DeviceArrays;
 pub enum Layout {
     /// Both levels in one fixed order along escape indices, without a stack: the paper's. Also taken for arrays without wide nodes.
     Rope,
-    /// Near children first: the top level's of two, the bottom levels' of eight with quantised boxes, with short stacks. Rays that
-    /// look for any hit walk the top level as above.
+    /// Near children first: the top level's of two, the bottom levels' of eight with quantised boxes, with one short stack. A top level too
+    /// deep for it goes on as above, as do rays that look for any hit there.
     #[default]
     Wide,
 }

@@ -2,8 +2,8 @@
 
 use glam::Vec3;
 
-use crate::device::layout::{Hit, Instance, InstanceFlags, NONE};
-use crate::trace::kernel::{KernelScene, is_closer, is_hole, is_layered, max_component, passes_at};
+use crate::device::layout::{Hit, Instance, NONE, Ray, Triangle};
+use crate::trace::kernel::{KernelScene, is_layered, light_through_layers, max_component, passes_at, take_closer};
 
 /// A crossing of the ray and a triangle.
 pub(crate) struct Candidate {
@@ -40,24 +40,10 @@ impl Query for Closest {
 
     #[inline(always)]
     fn cross(&mut self, scene: &KernelScene<'_>, index: u32, instance: &Instance, candidate: &Candidate) {
-        let triangle = &scene.triangles[candidate.triangle as usize];
-        let flags = InstanceFlags::from_bits_retain(instance.flags);
-        if !is_closer(candidate.t, index, triangle.primitive, &self.0)
-            || candidate.back && flags.contains(InstanceFlags::CULL_BACK)
-            || flags.contains(InstanceFlags::ALPHA_MASK) && is_hole(scene, instance, triangle, candidate.u, candidate.v)
-        {
-            return;
-        }
-        self.0 = Hit {
-            t: candidate.t,
-            u: candidate.u,
-            v: candidate.v,
-            instance: index,
-            primitive: triangle.primitive,
-            triangle: candidate.triangle,
-            back: u32::from(candidate.back),
-            _pad: 0,
-        };
+        let &Candidate { t, u, v, triangle, back } = candidate;
+        let (primitive, back) = (scene.triangles[triangle as usize].primitive, u32::from(back));
+        let crossed = Hit { t, u, v, instance: index, primitive, triangle, back, ..Hit::MISS };
+        take_closer(scene, &mut self.0, crossed, instance.flags);
     }
 
     #[inline(always)]
@@ -74,7 +60,7 @@ impl Query for Closest {
 /// See [`any_hit`](crate::trace::kernel::any_hit).
 #[derive(Clone, Copy)]
 pub(crate) struct Any {
-    t_max: f32,
+    pub(crate) t_max: f32,
     pub(crate) is_hit: bool,
 }
 
@@ -87,7 +73,7 @@ impl Query for Any {
     #[inline(always)]
     fn cross(&mut self, scene: &KernelScene<'_>, _: u32, instance: &Instance, candidate: &Candidate) {
         let triangle = &scene.triangles[candidate.triangle as usize];
-        if max_component(passes_at(scene, instance, triangle, candidate.u, candidate.v)) <= 0.0 {
+        if stops(scene, instance, triangle, candidate.u, candidate.v) {
             *self = Self { t_max: f32::NEG_INFINITY, is_hit: true };
         }
     }
@@ -98,6 +84,11 @@ impl Query for Any {
     }
 }
 
+/// Whether no light passes a triangle at a point.
+pub(crate) fn stops(scene: &KernelScene<'_>, instance: &Instance, triangle: &Triangle, u: f32, v: f32) -> bool {
+    max_component(passes_at(scene, instance, triangle, u, v)) <= 0.0
+}
+
 /// See [`transmittance`](crate::trace::kernel::transmittance).
 #[derive(Clone, Copy)]
 pub(crate) struct Transmittance {
@@ -105,6 +96,14 @@ pub(crate) struct Transmittance {
     pub(crate) light: Vec3,
     /// Whether there are layered instances, which are left out.
     pub(crate) has_layers: bool,
+}
+
+impl Transmittance {
+    /// All that gets through, layered instances included.
+    #[inline(always)]
+    pub(crate) fn light(&self, scene: &KernelScene<'_>, ray: &Ray, ray_mask: u32) -> Vec3 {
+        if self.has_layers { self.light * light_through_layers(scene, ray, ray_mask) } else { self.light }
+    }
 }
 
 impl Query for Transmittance {

@@ -6,8 +6,8 @@ use glam::Vec3;
 
 use super::kernel::math::{transform_point, transform_vector};
 use super::kernel::{
-    Counter, KernelScene, SlabRay, Traverse, camera_ray, cross_triangle, light_through_layers, max_component,
-    meets_box, render_pixel, shear_ray, slab_ray,
+    Counter, KernelScene, SlabRay, Traverse, camera_ray, cross_triangle, max_component, meets_box, render_pixel,
+    shear_ray, slab_ray,
 };
 use super::planes::Planes;
 use super::queries::{Any, Candidate, Closest, Query, Transmittance};
@@ -253,9 +253,6 @@ impl<'a> Traverse<'a> for Rays<'a> {
     }
 
     fn transmittance(&mut self, ray: &Ray, ray_mask: u32) -> Vec3 {
-        match self.ask::<Transmittance>(ray, ray_mask) {
-            Transmittance { light, has_layers: false, .. } => light,
-            Transmittance { light, .. } => light * light_through_layers(self.scene, ray, ray_mask),
-        }
+        self.ask::<Transmittance>(ray, ray_mask).light(self.scene, ray, ray_mask)
     }
 }

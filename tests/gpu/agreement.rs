@@ -36,6 +36,7 @@ fn gpu_emulated_and_cpu_hit_the_same_triangles() {
         let found = gpu.any_hits(&arrays, &rays, ray_mask).unwrap();
         let blocked = Cpu::default().any_hits(&arrays, &rays, ray_mask).unwrap();
         assert_eq!(found.len(), blocked.len());
+        assert_eq!(blocked.contains(&true), ray_mask != 4);
         let different = found.iter().zip(&blocked).filter(|(a, b)| a != b).count();
         assert!(different as f64 <= MOST_AT_EDGES * rays.len() as f64, "{different}");
     }

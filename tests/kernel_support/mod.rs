@@ -15,11 +15,11 @@ pub use arrays::{Builder, Placed, arrays, arrays_by};
 pub use mesh::Mesh;
 pub use random::Random;
 
-use ropewalk::trace::{Cpu, Emulated, Layout, Tracer};
+use ropewalk::trace::{Cpu, Emulated, Layout, Recursive, Tracer};
 
 /// Every executor by every layout; the GPU where there is one.
 pub fn tracers() -> Vec<Box<dyn Tracer>> {
-    let mut tracers: Vec<Box<dyn Tracer>> = vec![Box::new(Cpu::default())];
+    let mut tracers: Vec<Box<dyn Tracer>> = vec![Box::new(Cpu::default()), Box::new(Recursive::default())];
     for layout in [Layout::Rope, Layout::Wide] {
         tracers.push(Box::new(Emulated::default().with_layout(layout)));
         tracers.extend(on_gpu(layout));

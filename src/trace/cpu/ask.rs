@@ -1,116 +1,165 @@
-//! Queries answered by SIMD walks: of one ray, and of sixteen.
+//! Queries answered by SIMD walks: of sixteen rays, and of one.
 
 use fearless_simd::Simd;
 
-use super::packet::{LANES, LocalPacket, Packet, walk_packet};
-use super::single::{Stack, local_ray, walk};
+use super::answers::{Answers, AnyHits, ClosestHits, Place};
+use super::lanes::LANES;
+use super::local::{LocalPacket, Packet};
+use super::single::{Single, walk_singly};
+use super::together::{self, Together, go_together};
 use super::top::{walk_top, walk_top_packet};
-use crate::device::layout::Ray;
+use super::walk::{Stack, walk};
+use crate::device::layout::{Hit, Instance, Ray, WideNode};
 use crate::trace::kernel::KernelScene;
-use crate::trace::queries::{Candidate, Query};
+use crate::trace::queries::Query;
 
-/// One ray.
-#[inline(always)]
-pub(super) fn ask<S: Simd, Q: Query>(
-    simd: S,
-    scene: &KernelScene<'_>,
-    stack: &mut Stack,
-    ray: &Ray,
-    ray_mask: u32,
-) -> Q {
-    let mut query = Q::start(ray.t_max);
-    walk_top(scene, ray, ray.t_max, |index| {
-        if scene.instances[index as usize].mask & ray_mask != 0 {
-            ask_instance(simd, scene, stack, ray, index, &mut query);
-        }
-        query.t_max()
-    });
-    query.finish();
-    query
+/// What walks write to. Kept from ray to ray, so that nothing clears it.
+#[derive(Default)]
+pub(super) struct Memory {
+    stack: Stack,
+    packets: together::Memory,
 }
 
-/// One ray and one instance. Never inlined: it is used in several places and compiled for several sets of instructions.
-#[inline(never)]
-fn ask_instance<S: Simd, Q: Query>(
-    simd: S,
-    scene: &KernelScene<'_>,
-    stack: &mut Stack,
-    ray: &Ray,
-    index: u32,
-    query: &mut Q,
-) {
-    simd.vectorize(
-        #[inline(always)]
-        || {
-            let instance = &scene.instances[index as usize];
-            let (first_node, local) = local_ray(simd, scene, instance, ray);
-            let t_max = query.t_max();
-            walk(
-                simd,
-                scene,
-                [first_node, instance.first_triangle],
-                &local,
-                stack,
-                t_max,
-                #[inline(always)]
-                |candidate: &Candidate| {
-                    query.cross(scene, index, instance, candidate);
-                    query.t_max()
-                },
-            );
-        },
-    );
-}
-
-/// Sixteen rays; one by one where they do not go much the same way.
+/// The closest hits of packet after packet.
 #[inline(always)]
-pub(super) fn ask_packet<S: Simd, Q: Query>(
+pub(super) fn closest_hits<S: Simd>(
     simd: S,
     scene: &KernelScene<'_>,
-    stack: &mut Stack,
-    rays: &[Ray; LANES],
+    memory: &mut Memory,
+    rays: &[[Ray; LANES]],
     ray_mask: u32,
-    queries: &mut [Q; LANES],
+    hits: &mut [[Hit; LANES]],
 ) {
-    let packet = Packet::new(simd, rays);
-    let mut t_max: [f32; LANES] = packet.t_max.into();
-    for lane in 0..LANES {
-        queries[lane] = Q::start(t_max[lane]);
+    for (rays, hits) in rays.iter().zip(hits) {
+        let packet = Packet::new(simd, rays);
+        let mut answers = ClosestHits::new(packet.t_max);
+        ask(simd, scene, memory, &packet, ray_mask, &mut answers);
+        *hits = answers.hits(simd);
     }
+}
+
+/// Whether anything is hit, packet after packet.
+#[inline(always)]
+pub(super) fn any_hits<S: Simd>(
+    simd: S,
+    scene: &KernelScene<'_>,
+    memory: &mut Memory,
+    rays: &[[Ray; LANES]],
+    ray_mask: u32,
+    hits: &mut [[bool; LANES]],
+) {
+    for (rays, hits) in rays.iter().zip(hits) {
+        let packet = Packet::new(simd, rays);
+        let mut answers = AnyHits::new(packet.t_max);
+        ask(simd, scene, memory, &packet, ray_mask, &mut answers);
+        *hits = answers.hits();
+    }
+}
+
+/// One by one where the rays do not go much the same way.
+#[inline(always)]
+fn ask<S: Simd, A: Answers>(
+    simd: S,
+    scene: &KernelScene<'_>,
+    memory: &mut Memory,
+    packet: &Packet<S>,
+    ray_mask: u32,
+    answers: &mut A,
+) {
     walk_top_packet(
         simd,
         scene,
-        &packet,
-        &mut t_max,
+        packet,
+        answers,
         #[inline(always)]
-        |index, t_max| {
+        |index, lanes, answers| {
             let instance = &scene.instances[index as usize];
             if instance.mask & ray_mask == 0 {
                 return;
             }
-            if let Some((first_node, local)) = LocalPacket::new(simd, scene, instance, &packet) {
-                walk_packet(
-                    simd,
-                    scene,
-                    [first_node, instance.first_triangle],
-                    &local,
-                    stack,
-                    t_max,
-                    #[inline(always)]
-                    |lane: usize, candidate: &Candidate| {
-                        queries[lane].cross(scene, index, instance, candidate);
-                        queries[lane].t_max()
-                    },
-                );
+            let nodes = nodes_of(scene, instance);
+            let rays = LocalPacket::new(simd, packet, instance, &nodes[0]);
+            let place = Place { scene, index, instance };
+            if go_together(&rays) {
+                walk_together(simd, nodes, memory, &place, &rays, answers);
             } else {
-                for lane in 0..LANES {
-                    ask_instance(simd, scene, stack, &rays[lane], index, &mut queries[lane]);
-                    t_max[lane] = queries[lane].t_max();
-                }
+                walk_singly(simd, nodes, 0, &mut memory.packets.stack, &place, &rays, lanes, answers);
             }
         },
     );
-    for query in queries {
-        query.finish();
-    }
+}
+
+/// One ray.
+#[inline(always)]
+pub(super) fn ask_one<S: Simd, Q: Query>(
+    simd: S,
+    scene: &KernelScene<'_>,
+    memory: &mut Memory,
+    ray: &Ray,
+    ray_mask: u32,
+) -> Q {
+    let packet = Packet::new(simd, &[*ray; LANES]);
+    let mut query = Q::start(ray.t_max);
+    walk_top(
+        scene,
+        ray,
+        ray.t_max,
+        #[inline(always)]
+        |index| {
+            let instance = &scene.instances[index as usize];
+            if instance.mask & ray_mask != 0 {
+                let nodes = nodes_of(scene, instance);
+                let rays = LocalPacket::new(simd, &packet, instance, &nodes[0]);
+                query = walk_single(simd, nodes, memory, &Place { scene, index, instance }, &rays, 0, query);
+            }
+            query.t_max()
+        },
+    );
+    query.finish();
+    query
+}
+
+/// The structure of an instance's geometry, and what follows it.
+fn nodes_of<'a>(scene: &KernelScene<'a>, instance: &Instance) -> &'a [WideNode] {
+    &scene.wide_nodes[scene.geometries[instance.geometry as usize].first_wide_node as usize..]
+}
+
+/// Rays that [`go_together`]. A function of its own: it needs all registers.
+#[inline(never)]
+fn walk_together<S: Simd, A: Answers>(
+    simd: S,
+    nodes: &[WideNode],
+    memory: &mut Memory,
+    place: &Place<'_>,
+    rays: &LocalPacket<S>,
+    answers: &mut A,
+) {
+    simd.vectorize(
+        #[inline(always)]
+        || {
+            let mut walker = Together::new(simd, place, rays, answers, nodes, &mut memory.packets);
+            walk(simd, nodes, 0, rays.octant(0), &mut memory.stack, &mut walker);
+        },
+    );
+}
+
+/// One ray of a packet.
+#[inline(never)]
+fn walk_single<S: Simd, Q: Query>(
+    simd: S,
+    nodes: &[WideNode],
+    memory: &mut Memory,
+    place: &Place<'_>,
+    rays: &LocalPacket<S>,
+    lane: usize,
+    query: Q,
+) -> Q {
+    simd.vectorize(
+        #[inline(always)]
+        || {
+            let mut walker = Single::new(simd, place, rays, lane, query);
+            walk(simd, nodes, 0, rays.octant(lane), &mut memory.packets.stack, &mut walker);
+            walker.query
+        },
+    )
 }

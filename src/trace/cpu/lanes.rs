@@ -1,19 +1,14 @@
-//! What the two walks share: quantised planes and triangles brought into SIMD lanes, and the triangle test on them.
+//! Vectors of sixteen and what is done with three of them at once.
 
 use fearless_simd::prelude::*;
-use fearless_simd::{Simd, f32x4, f32x8, f32x16};
+use fearless_simd::{Simd, f32x8, f32x16, u8x16, u32x16};
 
-use crate::device::layout::{Triangle, WideNode};
-use crate::trace::kernel::{CORNER_TOLERANCE, EDGE_TOLERANCE};
+use crate::device::layout::WideNode;
 
-/// Lane by lane a ray and a triangle: where they cross.
-pub(super) struct Crossings<V> {
-    pub(super) t: V,
-    pub(super) u: V,
-    pub(super) v: V,
-    /// A bit for each lane whose ray came from the side where the triangle winds clockwise.
-    pub(super) back: u64,
-}
+/// Rays of a packet.
+pub(super) const LANES: usize = 16;
+/// A number a ray.
+pub(super) type Numbers = [f32; LANES];
 
 /// `[T; 3]::map`, but never a call: code in a function that is not inlined is not compiled for the processor's own lanes.
 #[inline(always)]
@@ -22,199 +17,126 @@ pub(super) fn each<T: Copy, U>(v: [T; 3], f: impl Fn(T) -> U) -> [U; 3] {
 }
 
 #[inline(always)]
-fn others<S: Simd, V: SimdFloat<S>>(v: [V; 3]) -> [V; 3] {
-    [v[1].max(v[2]), v[2].max(v[0]), v[0].max(v[1])]
+pub(super) fn abs<S: Simd, V: SimdFloat<S>>(v: [V; 3]) -> [V; 3] {
+    [v[0].abs(), v[1].abs(), v[2].abs()]
 }
 
 #[inline(always)]
-fn least<S: Simd, V: SimdFloat<S>>(v: [V; 3]) -> V {
+pub(super) fn least<S: Simd, V: SimdFloat<S>>(v: [V; 3]) -> V {
     v[0].min(v[1]).min(v[2])
 }
 
 #[inline(always)]
-fn greatest<S: Simd, V: SimdFloat<S>>(v: [V; 3]) -> V {
+pub(super) fn greatest<S: Simd, V: SimdFloat<S>>(v: [V; 3]) -> V {
     v[0].max(v[1]).max(v[2])
 }
 
-/// [`cross_triangle`](crate::trace::kernel) lane by lane, with the same roundings: `x`, `y` and `t` are the three corners'.
-/// Returns the lanes that cross.
 #[inline(always)]
-pub(super) fn cross<S: Simd, V: SimdFloat<S, Element = f32>>(
-    simd: S,
-    x: [V; 3],
-    y: [V; 3],
-    t: [V; 3],
-    depth_scale: V,
-) -> Option<(u64, Crossings<V>)> {
-    let zero = V::splat(simd, 0.0);
-    let (t_least, t_greatest) = (least(t), greatest(t));
-    let depth = (-t_least).max(t_greatest) * depth_scale;
+pub(super) fn load<S: Simd>(simd: S, numbers: Numbers) -> f32x16<S> {
+    numbers.simd_into(simd)
+}
 
-    // 1. Beside the triangle by more than rounding can explain?
-    let (x_least, x_greatest) = (least(x), greatest(x));
-    let (y_least, y_greatest) = (least(y), greatest(y));
-    let (x_extent, y_extent) = ((-x_least).max(x_greatest), (-y_least).max(y_greatest));
-    let x_tolerance = (depth + x_extent) * CORNER_TOLERANCE;
-    let y_tolerance = (depth + y_extent) * CORNER_TOLERANCE;
-    let beside = x_least.simd_gt(x_tolerance)
-        | x_greatest.simd_lt(-x_tolerance)
-        | y_least.simd_gt(y_tolerance)
-        | y_greatest.simd_lt(-y_tolerance);
+/// The least of all lanes, in eight lanes.
+#[inline(always)]
+pub(super) fn least_of<S: Simd>(v: f32x16<S>) -> f32x8<S> {
+    let (a, b) = v.split();
+    let v = a.min(b);
+    let v = v.min(v.rotate_elements_left::<4>());
+    let v = v.min(v.rotate_elements_left::<2>());
+    v.min(v.rotate_elements_left::<1>())
+}
 
-    // 2. Outside of an edge by more than that?
-    let w = [x[2] * y[1] - y[2] * x[1], x[0] * y[2] - y[0] * x[2], x[1] * y[0] - y[1] * x[0]];
-    let back = ((w[0] + w[1]) + w[2]).simd_lt(zero);
-    let w = each(
-        w,
+/// The greatest of all lanes, in eight lanes.
+#[inline(always)]
+pub(super) fn greatest_of<S: Simd>(v: f32x16<S>) -> f32x8<S> {
+    let (a, b) = v.split();
+    let v = a.max(b);
+    let v = v.max(v.rotate_elements_left::<4>());
+    let v = v.max(v.rotate_elements_left::<2>());
+    v.max(v.rotate_elements_left::<1>())
+}
+
+/// The lanes of a mask, lowest first.
+#[inline(always)]
+pub(super) fn lanes_of(mut mask: u64) -> impl Iterator<Item = usize> {
+    std::iter::from_fn(
         #[inline(always)]
-        |w| back.select(-w, w),
-    );
-    let w_least = least(w);
-    let tolerance = (depth * (x_extent + y_extent) + x_extent * y_extent * 4.0) * EDGE_TOLERANCE;
-    let outside = w_least.simd_lt(-tolerance);
-    let mut crossed = !(beside | outside);
-    if crossed.all_false() {
-        return None;
-    }
-    if (crossed & w_least.simd_lt(zero)).any_true() {
-        let (x, y, z) = (
-            others(each(
-                x,
-                #[inline(always)]
-                |x| x.abs(),
-            )),
-            others(each(
-                y,
-                #[inline(always)]
-                |y| y.abs(),
-            )),
-            others(each(
-                t,
-                #[inline(always)]
-                |t| t.abs(),
-            )),
-        );
-        for i in 0..3 {
-            let tolerance = (z[i] * depth_scale * (x[i] + y[i]) + x[i] * y[i] * 4.0) * EDGE_TOLERANCE;
-            crossed &= !((w[i] + tolerance).simd_lt(zero));
-        }
-    }
-
-    // 3. The point, inside the triangle whatever was rounded.
-    let w = each(
-        w,
-        #[inline(always)]
-        |w| w.max(zero),
-    );
-    let area = (w[0] + w[1]) + w[2];
-    crossed &= !area.simd_lt(V::splat(simd, f32::MIN_POSITIVE));
-    let scale = V::splat(simd, 1.0) / area;
-    let w = each(
-        w,
-        #[inline(always)]
-        |w| w * scale,
-    );
-    let t = ((w[0] * t[0] + w[1] * t[1]) + w[2] * t[2]).max(t_least).min(t_greatest);
-    Some((crossed.to_bitmask(), Crossings { t, u: w[1], v: w[2], back: back.to_bitmask() }))
-}
-
-/// The near planes of a node's children along an axis in the lower lanes, the far ones in the upper; in steps of its grid. `near` is 0
-/// where the ray goes up the axis, else 1.
-#[inline(always)]
-pub(super) fn planes<S: Simd>(simd: S, node: &WideNode, axis: usize, near: usize) -> f32x16<S> {
-    let planes = &node.planes[axis];
-    let near_first = u64::from_le_bytes(planes[near & 1]);
-    let far_last = u64::from_le_bytes(planes[near & 1 ^ 1]);
-    floats(simd, u128::from(near_first) | u128::from(far_last) << 64)
-}
-
-/// Sixteen bytes as numbers.
-#[inline(always)]
-fn floats<S: Simd>(simd: S, bytes: u128) -> f32x16<S> {
-    #[cfg(target_arch = "x86_64")]
-    {
-        if let Some(avx512) = simd.level().as_avx512() {
-            return x86::floats_avx512(avx512, bytes).simd_into(simd);
-        }
-        if let Some(avx2) = simd.level().as_avx2() {
-            return x86::floats_avx2(avx2, bytes).simd_into(simd);
-        }
-    }
-    bytes.to_le_bytes().map(f32::from).simd_into(simd)
-}
-
-/// The lower and the upper half.
-#[inline(always)]
-pub(super) fn halves<S: Simd>(v: f32x16<S>) -> (f32x8<S>, f32x8<S>) {
-    v.split()
-}
-
-/// How a ray sees corners of triangles: along which axis it goes most, and the slopes along the others.
-#[derive(Clone, Copy, Default)]
-pub(super) struct Axes {
-    /// The axes that become x, y and t.
-    pub(super) order: [usize; 3],
-}
-
-/// Coordinates of the corners of up to four triangles, first corner, second, third: of each along x, y and z of `axes`.
-#[inline(always)]
-pub(super) fn corners<S: Simd>(simd: S, triangles: &[Triangle; 4], axes: Axes) -> [[f32x4<S>; 3]; 3] {
-    let words: &[[f32; 12]; 4] = bytemuck::cast_ref(triangles);
-    each(
-        [0, 4, 8],
-        #[inline(always)]
-        |corner: usize| {
-            each(
-                axes.order,
-                #[inline(always)]
-                |axis: usize| {
-                    let word = (corner + axis) % 12;
-                    [words[0][word], words[1][word], words[2][word], words[3][word]].simd_into(simd)
-                },
-            )
+        move || {
+            let lane = mask.trailing_zeros() as usize;
+            mask &= mask.wrapping_sub(1);
+            (lane < LANES).then_some(lane)
         },
     )
 }
 
-/// The length of a step of a node's grid.
+/// The order of bytes that brings the near planes of a node's children into the lower lanes, the far ones into the upper.
 #[inline(always)]
-pub(super) fn step(node: &WideNode, axis: usize) -> f32 {
-    f32::from_bits(u32::from(node.exponents[axis]) << 23)
+pub(super) fn near_first<S: Simd>(simd: S, goes_down: bool) -> u8x16<S> {
+    static ORDERS: [[u8; 16]; 2] = [
+        [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15],
+        [8, 9, 10, 11, 12, 13, 14, 15, 0, 1, 2, 3, 4, 5, 6, 7],
+    ];
+    ORDERS[usize::from(goes_down)].simd_into(simd)
+}
+
+/// The planes of a node's children along an axis, in steps of its grid and in an order of [`near_first`].
+#[inline(always)]
+pub(super) fn planes<S: Simd>(simd: S, node: &WideNode, axis: usize, order: u8x16<S>) -> f32x16<S> {
+    let bytes: &[u8; 16] = bytemuck::cast_ref(&node.planes[axis]);
+    floats(simd, u8x16::simd_from(simd, *bytes).swizzle_dyn(order))
+}
+
+/// The lengths of a step of a node's grid.
+#[inline(always)]
+pub(super) fn steps<S: Simd>(simd: S, node: &WideNode) -> [f32x16<S>; 3] {
+    let exponents = u32x16::splat(simd, u32::from_le_bytes(node.exponents));
+    let step = |bits: u32x16<S>| (bits & 0xff << 23).bitcast::<f32x16<S>>();
+    [step(exponents << 23), step(exponents << 15), step(exponents << 7)]
+}
+
+/// A bit for each child that a node has.
+#[inline(always)]
+pub(super) fn children(node: &WideNode) -> u32 {
+    u32::from(node.exponents[3])
 }
 
 #[inline(always)]
-pub(super) fn load<S: Simd>(simd: S, numbers: [f32; 16]) -> f32x16<S> {
-    numbers.simd_into(simd)
-}
-
-/// One number in the lower lanes, another in the upper ones.
-#[inline(always)]
-pub(super) fn pair<S: Simd>(simd: S, low: f32, high: f32) -> f32x16<S> {
-    f32x8::splat(simd, low).combine(f32x8::splat(simd, high))
+fn floats<S: Simd>(simd: S, bytes: u8x16<S>) -> f32x16<S> {
+    #[cfg(target_arch = "x86_64")]
+    {
+        let array: [u8; 16] = bytes.into();
+        if let Some(avx512) = simd.level().as_avx512() {
+            return x86::floats_avx512(avx512, array).simd_into(simd);
+        }
+        if let Some(avx2) = simd.level().as_avx2() {
+            return x86::floats_avx2(avx2, array).simd_into(simd);
+        }
+    }
+    <[u8; 16]>::from(bytes).map(f32::from).simd_into(simd)
 }
 
 #[cfg(target_arch = "x86_64")]
 mod x86 {
     use std::arch::x86_64::*;
 
+    use fearless_simd::prelude::*;
+    use fearless_simd::{f32x8, f32x16, u8x16};
+
     fearless_simd::kernel!(
         #[inline(always)]
-        pub(super) fn floats_avx512(avx512: Avx512, bytes: u128) -> [f32; 16] {
-            let bytes = _mm_set_epi64x((bytes >> 64) as i64, bytes as i64);
-            let floats = _mm512_cvtepi32_ps(_mm512_cvtepu8_epi32(bytes));
-            fearless_simd::f32x16::simd_from(avx512, floats).into()
+        pub(super) fn floats_avx512(avx512: Avx512, bytes: [u8; 16]) -> [f32; 16] {
+            let bytes = u8x16::simd_from(avx512, bytes);
+            f32x16::simd_from(avx512, _mm512_cvtepi32_ps(_mm512_cvtepu8_epi32(bytes.into()))).into()
         }
     );
 
     fearless_simd::kernel!(
         #[inline(always)]
-        pub(super) fn floats_avx2(avx2: Avx2, bytes: u128) -> [f32; 16] {
-            let low = _mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(_mm_cvtsi64_si128(bytes as i64)));
-            let high = _mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(_mm_cvtsi64_si128((bytes >> 64) as i64)));
-            let low = fearless_simd::f32x8::simd_from(avx2, low);
-            let high = fearless_simd::f32x8::simd_from(avx2, high);
-            low.combine(high).into()
+        pub(super) fn floats_avx2(avx2: Avx2, bytes: [u8; 16]) -> [f32; 16] {
+            let bytes: __m128i = u8x16::simd_from(avx2, bytes).into();
+            let low = _mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(bytes));
+            let high = _mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(_mm_unpackhi_epi64(bytes, bytes)));
+            f32x8::simd_from(avx2, low).combine(f32x8::simd_from(avx2, high)).into()
         }
     );
-    use fearless_simd::prelude::*;
 }

@@ -3,17 +3,21 @@
 // What is passed by its name is called; a closure marked so is not. A call takes the lanes through memory.
 #![allow(clippy::redundant_closure, clippy::redundant_closure_for_method_calls)]
 
+mod answers;
 mod ask;
 mod lanes;
-mod packet;
+mod local;
 mod rays;
 mod single;
+mod together;
 mod top;
+mod triangles;
+mod walk;
 
 use bytemuck::Zeroable;
 use rayon::prelude::*;
 
-use self::packet::LANES;
+use self::lanes::LANES;
 use self::rays::Rays;
 use super::kernel::{KernelScene, Pixel, camera_ray, render_pixel};
 use super::planes::Planes;
@@ -115,7 +119,7 @@ impl Cpu {
         assert_eq!(rays.len(), hits.len(), "a hit a ray");
         let scene = KernelScene::with_layout(arrays, Layout::Wide);
         let tasks = rays.par_chunks(RAYS_A_TASK).zip(hits.par_chunks_mut(RAYS_A_TASK));
-        tasks.for_each(|(rays, hits)| Rays::new(&scene).closest_hits(rays, ray_mask, hits));
+        tasks.for_each_init(|| Rays::new(&scene), |tracer, (rays, hits)| tracer.closest_hits(rays, ray_mask, hits));
     }
 
     /// As [`any_hits`](Tracer::any_hits), into memory that the caller keeps.
@@ -126,7 +130,7 @@ impl Cpu {
         assert_eq!(rays.len(), hits.len(), "a hit a ray");
         let scene = KernelScene::with_layout(arrays, Layout::Wide);
         let tasks = rays.par_chunks(RAYS_A_TASK).zip(hits.par_chunks_mut(RAYS_A_TASK));
-        tasks.for_each(|(rays, hits)| Rays::new(&scene).any_hits(rays, ray_mask, hits));
+        tasks.for_each_init(|| Rays::new(&scene), |tracer, (rays, hits)| tracer.any_hits(rays, ray_mask, hits));
     }
 }
 

@@ -3,19 +3,18 @@
 use fearless_simd::{Level, Simd};
 use glam::Vec3;
 
-use super::ask::{ask, ask_packet};
-use super::packet::LANES;
-use super::single::Stack;
+use super::ask::{Memory, any_hits, ask_one, closest_hits};
+use super::lanes::LANES;
 use crate::device::layout::{Hit, Ray};
 use crate::trace::Layout;
-use crate::trace::kernel::{KernelScene, Traverse, any_hit, closest_hit, light_through_layers, transmittance};
-use crate::trace::queries::{Any, Closest, Query, Transmittance};
+use crate::trace::kernel::{KernelScene, Traverse, any_hit, closest_hit, transmittance};
+use crate::trace::queries::{Closest, Query, Transmittance};
 
 /// What a task traces rays with.
 pub(super) struct Rays<'a> {
     scene: &'a KernelScene<'a>,
     lanes: Option<Level>,
-    stack: Stack,
+    memory: Memory,
 }
 
 /// Calls a function with the widest lanes of this processor. What is compiled is compiled once for each of these, which takes its time: so
@@ -59,55 +58,59 @@ impl<'a> Rays<'a> {
     pub(super) fn new(scene: &'a KernelScene<'a>) -> Self {
         // Arrays made by hand may have no wide nodes: they are walked along escape indices, a ray at a time.
         let lanes = if scene.layout == Layout::Wide { lanes() } else { None };
-        Self { scene, lanes, stack: Stack::default() }
+        Self { scene, lanes, memory: Memory::default() }
     }
 
     /// Sixteen that follow one another best go much the same way.
     pub(super) fn closest_hits(&mut self, rays: &[Ray], ray_mask: u32, hits: &mut [Hit]) {
+        let (scene, memory) = (self.scene, &mut self.memory);
         match self.lanes {
-            Some(level) => self.ask_packets(level, rays, ray_mask, hits, |query: &Closest| query.0),
-            None => hits.iter_mut().zip(rays).for_each(|(hit, ray)| *hit = closest_hit(self.scene, ray, ray_mask)),
+            Some(level) => by_packets(
+                rays,
+                hits,
+                Hit::MISS,
+                |rays, hits| with_lanes!(level, simd => closest_hits(simd, scene, memory, rays, ray_mask, hits)),
+            ),
+            None => hits.iter_mut().zip(rays).for_each(|(hit, ray)| *hit = closest_hit(scene, ray, ray_mask)),
         }
     }
 
     /// Sixteen that follow one another best go much the same way.
     pub(super) fn any_hits(&mut self, rays: &[Ray], ray_mask: u32, hits: &mut [bool]) {
+        let (scene, memory) = (self.scene, &mut self.memory);
         match self.lanes {
-            Some(level) => self.ask_packets(level, rays, ray_mask, hits, |query: &Any| query.is_hit),
-            None => hits.iter_mut().zip(rays).for_each(|(hit, ray)| *hit = any_hit(self.scene, ray, ray_mask)),
-        }
-    }
-
-    fn ask_packets<Q: Query, T>(
-        &mut self,
-        level: Level,
-        rays: &[Ray],
-        ray_mask: u32,
-        answers: &mut [T],
-        answer: impl Fn(&Q) -> T,
-    ) {
-        let mut queries = [Q::start(0.0); LANES];
-        for (rays, answers) in rays.chunks(LANES).zip(answers.chunks_mut(LANES)) {
-            let padded;
-            let rays: &[Ray; LANES] = match rays.try_into() {
-                Ok(rays) => rays,
-                Err(_) => {
-                    let nothing = Ray { t_max: f32::NEG_INFINITY, ..rays[0] };
-                    padded = std::array::from_fn(|lane| rays.get(lane).copied().unwrap_or(nothing));
-                    &padded
-                }
-            };
-            let (scene, stack) = (self.scene, &mut self.stack);
-            with_lanes!(level, simd => ask_packet(simd, scene, stack, rays, ray_mask, &mut queries));
-            for (target, query) in answers.iter_mut().zip(&queries) {
-                *target = answer(query);
-            }
+            Some(level) => by_packets(
+                rays,
+                hits,
+                false,
+                |rays, hits| with_lanes!(level, simd => any_hits(simd, scene, memory, rays, ray_mask, hits)),
+            ),
+            None => hits.iter_mut().zip(rays).for_each(|(hit, ray)| *hit = any_hit(scene, ray, ray_mask)),
         }
     }
 
     fn ask<Q: Query>(&mut self, level: Level, ray: &Ray, ray_mask: u32) -> Q {
-        let (scene, stack) = (self.scene, &mut self.stack);
-        with_lanes!(level, simd => ask(simd, scene, stack, ray, ray_mask))
+        let (scene, memory) = (self.scene, &mut self.memory);
+        with_lanes!(level, simd => ask_one(simd, scene, memory, ray, ray_mask))
+    }
+}
+
+/// Calls `trace` with whole packets; where rays are left over, with one more that has rays which meet nothing.
+fn by_packets<T: Copy>(
+    rays: &[Ray],
+    hits: &mut [T],
+    miss: T,
+    mut trace: impl FnMut(&[[Ray; LANES]], &mut [[T; LANES]]),
+) {
+    let (packets, rest) = rays.as_chunks();
+    let (hits, hits_of_rest) = hits.as_chunks_mut();
+    trace(packets, hits);
+    if let Some(first) = rest.first() {
+        let mut packet = [Ray { t_max: f32::NEG_INFINITY, ..*first }; LANES];
+        packet[..rest.len()].copy_from_slice(rest);
+        let mut hits = [miss; LANES];
+        trace(&[packet], std::array::from_mut(&mut hits));
+        hits_of_rest.copy_from_slice(&hits[..rest.len()]);
     }
 }
 
@@ -125,10 +128,7 @@ impl<'a> Traverse<'a> for Rays<'a> {
 
     fn transmittance(&mut self, ray: &Ray, ray_mask: u32) -> Vec3 {
         match self.lanes {
-            Some(level) => match self.ask::<Transmittance>(level, ray, ray_mask) {
-                Transmittance { light, has_layers: false, .. } => light,
-                Transmittance { light, .. } => light * light_through_layers(self.scene, ray, ray_mask),
-            },
+            Some(level) => self.ask::<Transmittance>(level, ray, ray_mask).light(self.scene, ray, ray_mask),
             None => transmittance(self.scene, ray, ray_mask),
         }
     }

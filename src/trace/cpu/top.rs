@@ -1,10 +1,12 @@
 //! The top level, near instances first.
 
-use fearless_simd::Simd;
 use fearless_simd::prelude::*;
+use fearless_simd::{Simd, f32x16};
 use glam::Vec3;
 
-use super::packet::{LANES, Packet};
+use super::answers::Answers;
+use super::lanes::{Numbers, each, load};
+use super::local::{Packet, reciprocals};
 use crate::accel::TopLevel;
 use crate::device::layout::{Node, PrimitiveRange, Ray};
 use crate::trace::kernel::{BOX_SLACK, KernelScene, meets_box, slab_ray};
@@ -28,37 +30,65 @@ pub(super) fn walk_top(scene: &KernelScene<'_>, ray: &Ray, mut t_max: f32, mut v
     );
 }
 
-/// Visits the instances whose boxes a ray of the packet may meet no farther than its `t_max`, which `visit` may lower.
+/// Visits the instances whose boxes rays of the packet meet no farther than its answers, with a bit for each of these rays.
 #[inline(always)]
-pub(super) fn walk_top_packet<S: Simd>(
+pub(super) fn walk_top_packet<S: Simd, A: Answers>(
     simd: S,
     scene: &KernelScene<'_>,
     packet: &Packet<S>,
-    t_max: &mut [f32; LANES],
-    mut visit: impl FnMut(u32, &mut [f32; LANES]),
+    answers: &mut A,
+    mut visit: impl FnMut(u32, u64, &mut A),
 ) {
-    let slabs = packet.slabs(simd);
-    let direction = Vec3::new(
-        packet.directions[0].as_array()[0],
-        packet.directions[1].as_array()[0],
-        packet.directions[2].as_array()[0],
-    );
+    let slabs =
+        Slabs { origins: packet.origins, reciprocals: reciprocals(simd, packet.directions), t_min: packet.t_min };
+    let direction = Vec3::from_array(each(
+        packet.directions,
+        #[inline(always)]
+        |d| d.as_array()[0],
+    ));
     walk_nodes(
         scene.tlas_nodes,
         direction,
         #[inline(always)]
         |node, instance| {
-            let (enters, leaves) = slabs.meet(simd, node.min, node.max, t_max);
-            let met = (enters * BOX_SLACK).simd_le(leaves).any_true();
-            if let (true, Some(instance)) = (met, instance) {
-                visit(instance, t_max);
+            let met = slabs.meet(simd, node, answers.t_max());
+            if let (true, Some(instance)) = (met != 0, instance) {
+                visit(instance, met, answers);
             }
-            met
+            met != 0
         },
     );
 }
 
+/// The rays of a packet as boxes see them.
+struct Slabs<S: Simd> {
+    origins: [f32x16<S>; 3],
+    reciprocals: [f32x16<S>; 3],
+    t_min: f32x16<S>,
+}
+
+impl<S: Simd> Slabs<S> {
+    /// A bit for each ray that meets a box.
+    #[inline(always)]
+    fn meet(&self, simd: S, node: &Node, t_max: &Numbers) -> u64 {
+        let t = each(
+            [0, 1, 2],
+            #[inline(always)]
+            |axis: usize| {
+                let a = (f32x16::splat(simd, node.min[axis]) - self.origins[axis]) * self.reciprocals[axis];
+                let b = (f32x16::splat(simd, node.max[axis]) - self.origins[axis]) * self.reciprocals[axis];
+                (a.min(b), a.max(b))
+            },
+        );
+        let enters = t[0].0.max(t[1].0).max(t[2].0.max(self.t_min));
+        let leaves = t[0].1.min(t[1].1).min(t[2].1.min(load(simd, *t_max)));
+        (enters * BOX_SLACK).simd_le(leaves).to_bitmask()
+    }
+}
+
 /// Shows nodes to `visit`, which is told the instance where it is a leaf, and says whether to go on below.
+///
+/// The stack is never too short for a [`TopLevel`]. One made by hand may be deeper: what has no room is walked along escape indices.
 #[inline(always)]
 fn walk_nodes(nodes: &[Node], direction: Vec3, mut visit: impl FnMut(&Node, Option<u32>) -> bool) {
     // A hierarchy of nothing is absent or zero.
@@ -71,13 +101,25 @@ fn walk_nodes(nodes: &[Node], direction: Vec3, mut visit: impl FnMut(&Node, Opti
     }
     let mut stack = [0; TopLevel::MAX_DEPTH + 1];
     let mut waiting = 1;
-    while waiting > 0 {
-        waiting -= 1;
-        let index = stack[waiting];
+    // What is left to be walked along escape indices.
+    let mut rope = 0..0;
+    while waiting > 0 || !rope.is_empty() {
+        let on_rope = !rope.is_empty();
+        let index = if on_rope {
+            rope.start
+        } else {
+            waiting -= 1;
+            stack[waiting]
+        };
         let node = &nodes[index as usize];
         let is_leaf = node.primitives != PrimitiveRange::INNER;
-        if visit(node, is_leaf.then(|| node.primitives.first())) && !is_leaf && !node.is_unused() {
-            let left = index + 1;
+        let opens = visit(node, is_leaf.then(|| node.primitives.first())) && !is_leaf && !node.is_unused();
+        let left = index + 1;
+        if on_rope {
+            rope.start = if opens { left } else { node.escape_index };
+        } else if opens && waiting + 2 > stack.len() {
+            rope = left..node.escape_index;
+        } else if opens {
             let right = nodes[left as usize].escape_index;
             let from_left = center(&nodes[right as usize]) - center(&nodes[left as usize]);
             let [near, far] = if from_left.dot(direction) < 0.0 { [right, left] } else { [left, right] };

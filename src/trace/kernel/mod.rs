@@ -18,13 +18,13 @@ mod wide;
 
 pub(crate) use camera::camera_ray;
 pub(crate) use intersect::{
-    BOX_SLACK, CORNER_TOLERANCE, EDGE_TOLERANCE, LEAST_COMPONENT, LEAST_SHARE, ShearRay, SlabRay, cross_triangle,
-    max_component, meets_box, reciprocal_power_of_two, shear_ray, slab_ray,
+    BOX_SLACK, CORNER_TOLERANCE, EDGE_TOLERANCE, LEAST_COMPONENT, LEAST_SHARE, SlabRay, cross_triangle, max_component,
+    meets_box, shear_ray, slab_ray,
 };
 pub(crate) use material::is_hole;
 pub(crate) use traverse::{
-    Traverse, any_hit, closest_hit, count_any, count_closest, count_transmittance, is_closer, is_layered,
-    light_through_layers, passes_at, transmittance,
+    Traverse, any_hit, closest_hit, count_any, count_closest, count_transmittance, is_layered, light_through_layers,
+    passes_at, take_closer, transmittance,
 };
 pub(crate) use walk::Counter;
 #[cfg(feature = "gpu")]
@@ -115,7 +115,7 @@ mod tests {
             offset { HALF_ULP, TRANSFORM_ERROR, EDGE_ERROR }
             sky { OVERLAP_FIT_6, OVERLAP_FIT_4, OVERLAP_FIT_2, OVERLAP_FIT_0 }
             brdf { MIRROR_ROUGHNESS, HIGHLIGHT_ROUGHNESS }
-            wide { TOP_STACK, WIDE_STACK, WAITING_BITS, MISSED }
+            wide { TOP_STACK, TOP_LEAF, WIDE_STACK, WAITING_BITS, MISSED }
             whitted { MAX_DEPTH, MAX_LAYERS, MAX_RAYS, MIN_THROUGHPUT, MAX_PENDING }
         };
         let others = [

@@ -140,35 +140,37 @@ fn closest(scene: &KernelScene<'_>, walk: &mut impl Walk, ray: &Ray) -> Hit {
         let first = place.first_triangle + leaf.first();
         for (i, triangle) in (first..).zip(&scene.triangles[first as usize..][..leaf.count() as usize]) {
             let Some(crossing) = cross_triangle(&place.shear, triangle) else { continue };
-            if crossing.t < ray.t_min || !is_closer(crossing.t, place.instance, triangle.primitive, &hit) {
-                continue;
+            if crossing.t >= ray.t_min {
+                let (primitive, instance, back) = (triangle.primitive, place.instance, u32::from(crossing.back));
+                let (t, u, v) = (crossing.t, crossing.u, crossing.v);
+                let crossed = Hit { t, u, v, instance, primitive, triangle: i, back, ..Hit::MISS };
+                take_closer(scene, &mut hit, crossed, place.flags);
             }
-            let flags = InstanceFlags::from_bits_retain(place.flags);
-            if crossing.back && flags.contains(InstanceFlags::CULL_BACK) {
-                continue;
-            }
-            if flags.contains(InstanceFlags::ALPHA_MASK) {
-                let instance = &scene.instances[place.instance as usize];
-                if is_hole(scene, instance, triangle, crossing.u, crossing.v) {
-                    continue;
-                }
-            }
-            hit = Hit {
-                t: crossing.t,
-                u: crossing.u,
-                v: crossing.v,
-                instance: place.instance,
-                primitive: triangle.primitive,
-                triangle: i,
-                back: u32::from(crossing.back),
-                _pad: 0,
-            };
         }
     }
     if hit.instance == NONE { Hit::MISS } else { hit }
 }
 
-pub(crate) fn is_closer(t: f32, instance: u32, primitive: u32, hit: &Hit) -> bool {
+/// Takes what was crossed for the closest hit, if it is closer and there to be hit. `flags` are its instance's.
+#[inline(always)]
+pub(crate) fn take_closer(scene: &KernelScene<'_>, hit: &mut Hit, crossed: Hit, flags: u32) {
+    if !is_closer(crossed.t, crossed.instance, crossed.primitive, hit) {
+        return;
+    }
+    let flags = InstanceFlags::from_bits_retain(flags);
+    if crossed.back != 0 && flags.contains(InstanceFlags::CULL_BACK) {
+        return;
+    }
+    if flags.contains(InstanceFlags::ALPHA_MASK) {
+        let instance = &scene.instances[crossed.instance as usize];
+        if is_hole(scene, instance, &scene.triangles[crossed.triangle as usize], crossed.u, crossed.v) {
+            return;
+        }
+    }
+    *hit = crossed;
+}
+
+fn is_closer(t: f32, instance: u32, primitive: u32, hit: &Hit) -> bool {
     if t != hit.t {
         return t < hit.t;
     }

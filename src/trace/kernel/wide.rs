@@ -4,12 +4,13 @@
 //! **Top level.** The depth-first array holds the binary tree: the left child of node i is i + 1, the right one is where the left one's
 //! escape index leads. Both boxes are tested, the nearer one is visited, the other waits on a short stack. Where that is full the
 //! subtree is walked along its escape indices instead, so the depth is unlimited. Rays that look for any hit do so from the
-//! start: order gains them little.
+//! start: order gains them nothing.
 //!
 //! **Bottom levels.** The boxes of eight children are tested at once. Those that are met wait in the order of their slots for the
 //! ray's octant (H. Ylitie, T. Karras, S. Laine, *Efficient Incoherent Ray Traversal on GPUs Through Compressed Wide BVHs*, 2017);
 //! while one is visited, the others are one entry of a stack: the node, a bit for each, and where the first of them begins. The
-//! builder bounds the depth, so the stack always suffices.
+//! builder bounds the depth, so the stack always suffices. Both levels share it, as they do the loop: an instance is left when no more waits
+//! than did when it was entered.
 //!
 //! **Boxes.** A box whose planes are multiples of a step from the node's origin is met where the exact one is: `accel::wide` proves it for
 //! the expression here. The comparison allows [`BOX_SLACK`] as that of the exact boxes does, and "where the first begins" is
@@ -26,6 +27,8 @@ use crate::device::layout::{NONE, Node, PrimitiveRange, Ray, WideNode};
 
 /// Nodes of the top level that can wait.
 pub(super) const TOP_STACK: u32 = 16;
+/// Tells an instance from an inner node of the top level.
+pub(super) const TOP_LEAF: u32 = 1 << 31;
 /// Wide nodes some of whose children can wait: all above the deepest.
 pub(super) const WIDE_STACK: u32 = MAX_WIDE_DEPTH as u32;
 /// The lower bits of a stack entry's second word are the children that wait, the others those of a number.
@@ -35,15 +38,13 @@ pub(super) const MISSED: f32 = -1.0;
 
 pub(super) struct Wide<C> {
     place: Place,
-    /// A node of the top level: one that is met, or, along escape indices, the next one; [`NONE`] where the stack says.
-    index: u32,
-    /// What it holds, of one that is met.
-    primitives: PrimitiveRange,
+    /// What comes next in the top level: the index of an inner node that is met, or its instance and [`TOP_LEAF`]; along escape indices, the
+    /// index of the next node; [`NONE`] where the stack says.
+    top: u32,
     /// Where the walk along escape indices ends; 0 where there is none.
     rope_end: u32,
+    /// How many of the top level wait.
     top_count: u32,
-    /// Nodes that are met, and where.
-    top_stack: [(u32, f32); TOP_STACK as usize],
 
     /// Which way the ray goes along x, y and z.
     octant: u32,
@@ -52,9 +53,11 @@ pub(super) struct Wide<C> {
     node: u32,
     waiting: u32,
     near: f32,
+    /// How many wait, of both levels.
     count: u32,
-    /// The same of the nodes above: where the first begins and who waits share a word.
-    stack: [(u32, u32); WIDE_STACK as usize],
+    /// First those of the top level, as `top` has them, and where they begin. Then the wide nodes above: where the first of their children begins and
+    /// who waits share a word.
+    stack: [(u32, u32); (TOP_STACK + WIDE_STACK) as usize],
     pub(super) counter: C,
 }
 
@@ -62,27 +65,22 @@ impl<C: Counter> Wide<C> {
     pub(super) fn new(scene: &KernelScene<'_>, ray: &Ray, ray_mask: u32, near_first: bool) -> Self {
         let mut walk = Self {
             place: Place::new(ray, ray_mask),
-            index: first_of(scene.tlas_nodes),
-            primitives: PrimitiveRange::INNER,
+            top: first_of(scene.tlas_nodes),
             rope_end: 0,
             top_count: 0,
-            top_stack: [(0, 0.0); TOP_STACK as usize],
             octant: 0,
             first_node: 0,
             node: 0,
             waiting: 0,
             near: 0.0,
             count: 0,
-            stack: [(0, 0); WIDE_STACK as usize],
+            stack: [(0, 0); (TOP_STACK + WIDE_STACK) as usize],
             counter: C::default(),
         };
-        if walk.index != NONE {
+        if walk.top != NONE {
             if near_first {
                 let root = walk.read_top(scene, 0);
-                if walk.meet_top(root, ray.t_max) == MISSED {
-                    walk.index = NONE;
-                }
-                walk.primitives = root.primitives;
+                walk.top = if walk.meet_top(root, ray.t_max) == MISSED { NONE } else { top_of(0, root) };
             } else {
                 walk.rope_end = NONE;
             }
@@ -94,14 +92,13 @@ impl<C: Counter> Wide<C> {
     fn step_top(&mut self, scene: &KernelScene<'_>, t_max: f32) -> bool {
         if self.rope_end != 0 {
             self.step_rope(scene, t_max);
-        } else if self.index != NONE {
+        } else if self.top != NONE {
             self.open_top(scene, t_max);
-        } else if self.top_count > 0 {
-            self.top_count -= 1;
-            let (index, near) = self.top_stack[self.top_count as usize];
-            if near <= t_max {
-                self.index = index;
-                self.primitives = self.read_top(scene, index).primitives;
+        } else if self.count > 0 {
+            self.count -= 1;
+            let (top, near) = self.stack[self.count as usize];
+            if f32::from_bits(near) <= t_max {
+                self.top = top;
             }
         } else {
             return false;
@@ -111,48 +108,51 @@ impl<C: Counter> Wide<C> {
 
     /// Visits the next node along the escape indices.
     fn step_rope(&mut self, scene: &KernelScene<'_>, t_max: f32) {
-        if self.index == self.rope_end {
+        if self.top == self.rope_end {
             self.rope_end = 0;
-            self.index = NONE;
+            self.top = NONE;
             return;
         }
-        let node = self.read_top(scene, self.index);
+        let node = self.read_top(scene, self.top);
         self.counter.boxes(1);
         if !meets_box(&self.place.level, self.place.t_min, t_max, node) {
-            self.index = node.escape_index;
+            self.top = node.escape_index;
         } else if node.primitives == PrimitiveRange::INNER {
-            self.index += 1;
+            self.top += 1;
         } else {
-            self.index = node.escape_index;
+            self.top = node.escape_index;
             self.enter_instance(scene, node.primitives.first(), t_max);
         }
     }
 
-    /// Visits a node that is met.
+    /// Visits what is met.
     fn open_top(&mut self, scene: &KernelScene<'_>, t_max: f32) {
-        let left = self.index + 1;
-        if self.primitives != PrimitiveRange::INNER {
-            self.index = NONE;
-            self.enter_instance(scene, self.primitives.first(), t_max);
-        } else if self.top_count == TOP_STACK {
-            self.rope_end = self.read_top(scene, self.index).escape_index;
-            self.index = left;
-        } else {
-            let left_node = self.read_top(scene, left);
-            let right = left_node.escape_index;
-            let right_node = self.read_top(scene, right);
-            let (left_near, right_near) = (self.meet_top(left_node, t_max), self.meet_top(right_node, t_max));
-            let right_first = left_near == MISSED || (right_near != MISSED && right_near < left_near);
-            if left_near != MISSED && right_near != MISSED {
-                let far = if right_first { (left, left_near) } else { (right, right_near) };
-                self.top_stack[self.top_count as usize] = far;
-                self.top_count += 1;
-            }
-            self.index = if right_first { right } else { left };
-            self.primitives = if right_first { right_node.primitives } else { left_node.primitives };
-            if left_near == MISSED && right_near == MISSED {
-                self.index = NONE;
-            }
+        if self.top & TOP_LEAF != 0 {
+            let instance = self.top & !TOP_LEAF;
+            self.top = NONE;
+            self.enter_instance(scene, instance, t_max);
+            return;
+        }
+        let left = self.top + 1;
+        if self.count == TOP_STACK {
+            self.rope_end = self.read_top(scene, self.top).escape_index;
+            self.top = left;
+            return;
+        }
+        let left_node = self.read_top(scene, left);
+        let right = left_node.escape_index;
+        let right_node = self.read_top(scene, right);
+        let (left_near, right_near) = (self.meet_top(left_node, t_max), self.meet_top(right_node, t_max));
+        let (left_top, right_top) = (top_of(left, left_node), top_of(right, right_node));
+        let right_first = left_near == MISSED || (right_near != MISSED && right_near < left_near);
+        if left_near != MISSED && right_near != MISSED {
+            let far = if right_first { (left_top, left_near.to_bits()) } else { (right_top, right_near.to_bits()) };
+            self.stack[self.count as usize] = far;
+            self.count += 1;
+        }
+        self.top = if right_first { right_top } else { left_top };
+        if left_near == MISSED && right_near == MISSED {
+            self.top = NONE;
         }
     }
 
@@ -184,7 +184,7 @@ impl<C: Counter> Wide<C> {
         let reciprocal = self.place.level.reciprocal;
         self.octant =
             u32::from(reciprocal.x < 0.0) | u32::from(reciprocal.y < 0.0) << 1 | u32::from(reciprocal.z < 0.0) << 2;
-        self.count = 0;
+        self.top_count = self.count;
         let root = self.open_wide(scene, 0, t_max);
         let least = Vec3::from_array(root.origin);
         let greatest = least + steps(root) * 255.0;
@@ -217,7 +217,7 @@ impl<C: Counter> Wide<C> {
     /// The next leaf below the wide nodes that wait, if there is one.
     fn step_wide(&mut self, scene: &KernelScene<'_>, t_max: f32) -> Option<PrimitiveRange> {
         if self.waiting == 0 {
-            if self.count == 0 {
+            if self.count == self.top_count {
                 self.place.leave();
                 return None;
             }
@@ -266,6 +266,11 @@ impl<C: Counter> Walk for Wide<C> {
     fn count_triangles(&mut self, count: u32) {
         self.counter.triangles(count);
     }
+}
+
+/// A node of the top level as [`Wide::top`] has those that are met.
+fn top_of(index: u32, node: &Node) -> u32 {
+    if node.primitives == PrimitiveRange::INNER { index } else { node.primitives.first() | TOP_LEAF }
 }
 
 /// The lengths of a node's steps.

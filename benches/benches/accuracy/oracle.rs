@@ -1,0 +1,112 @@
+//! Rays and triangles in f64, taken as exactly as the device arrays have them.
+
+use glam::{DMat3, DVec3};
+use ropewalk::device::DeviceArrays;
+use ropewalk::device::layout::{Instance, Node, PrimitiveRange, Ray, Triangle};
+
+/// A ray's closest hit, or what is known of another one.
+#[derive(Clone, Copy)]
+pub struct Exact {
+    pub instance: u32,
+    /// Index into the array of triangles.
+    pub triangle: u32,
+    pub primitive: u32,
+    pub t: f64,
+}
+
+struct LocalRay {
+    origin: DVec3,
+    direction: DVec3,
+}
+
+impl LocalRay {
+    fn new(ray: &Ray) -> Self {
+        Self { origin: vector(ray.origin), direction: vector(ray.direction) }
+    }
+
+    fn within(&self, instance: &Instance) -> Self {
+        let rows = instance.local_from_world.map(|row| row.map(f64::from));
+        let linear = DMat3::from_cols_array_2d(&rows.map(|[x, y, z, _]| [x, y, z])).transpose();
+        let translation = DVec3::from_array(rows.map(|row| row[3]));
+        Self { origin: linear * self.origin + translation, direction: linear * self.direction }
+    }
+
+    /// Boxes are widened by far more than f64 rounds.
+    fn meets(&self, node: &Node, t_max: f64) -> bool {
+        let [min, max] = [vector(node.min), vector(node.max)];
+        let slack = (min.abs().max(max.abs()).max(self.origin.abs())).max_element() * 1e-9;
+        let a = (min - slack - self.origin) / self.direction;
+        let b = (max + slack - self.origin) / self.direction;
+        let (near, far) = (a.min(b).max_element(), a.max(b).min_element());
+        near <= far && far >= 0.0 && near <= t_max
+    }
+
+    /// Where the ray crosses the plane of a triangle, and whether within its edges.
+    fn cross(&self, triangle: &Triangle) -> (f64, bool) {
+        let [a, b, c] = [triangle.v0, triangle.v1, triangle.v2].map(|v| vector(v) - self.origin);
+        let normal = (b - a).cross(c - a);
+        let edges = [b.cross(c), c.cross(a), a.cross(b)].map(|edge| edge.dot(self.direction));
+        let is_within = edges.iter().all(|&e| e >= 0.0) || edges.iter().all(|&e| e <= 0.0);
+        (normal.dot(a) / normal.dot(self.direction), is_within)
+    }
+}
+
+/// The closest hit of a ray from t = 0 on, by walking the arrays' hierarchies.
+pub fn closest(arrays: &DeviceArrays, ray: &Ray) -> Option<Exact> {
+    let world = LocalRay::new(ray);
+    let mut found: Option<Exact> = None;
+    visit(&arrays.tlas_nodes, &world, f64::INFINITY, |leaf, _| {
+        let index = leaf.first();
+        let instance = &arrays.instances[index as usize];
+        let local = world.within(instance);
+        let t_max = found.map_or(f64::INFINITY, |hit| hit.t);
+        visit(&arrays.blas_nodes[instance.first_node as usize..], &local, t_max, |leaf, mut t_max| {
+            let first = instance.first_triangle + leaf.first();
+            for i in first..first + leaf.count() {
+                let triangle = &arrays.triangles[i as usize];
+                let (t, is_within) = local.cross(triangle);
+                if is_within && t >= 0.0 && t < t_max {
+                    t_max = t;
+                    found = Some(Exact { instance: index, triangle: i, primitive: triangle.primitive, t });
+                }
+            }
+            t_max
+        });
+        found.map_or(f64::INFINITY, |hit| hit.t)
+    });
+    found
+}
+
+/// Shows the leaves that the ray meets before `t_max`, which `leaf` returns anew.
+fn visit(nodes: &[Node], ray: &LocalRay, mut t_max: f64, mut leaf: impl FnMut(PrimitiveRange, f64) -> f64) {
+    let mut index = 0;
+    while let Some(node) = nodes.get(index as usize) {
+        let is_met = ray.meets(node, t_max);
+        index = if is_met && node.primitives == PrimitiveRange::INNER { index + 1 } else { node.escape_index };
+        if is_met && node.primitives.count() > 0 {
+            t_max = leaf(node.primitives, t_max);
+        }
+    }
+}
+
+/// How far it truly is to the plane of a triangle, along a ray of the world, and along that ray as f32 has it in the instance.
+pub fn distances(arrays: &DeviceArrays, ray: &Ray, instance: u32, triangle: u32) -> [f64; 2] {
+    let exact = LocalRay::new(ray).within(&arrays.instances[instance as usize]);
+    let rounded = LocalRay::new(&local_ray(arrays, ray, instance));
+    [exact, rounded].map(|ray| ray.cross(&arrays.triangles[triangle as usize]).0)
+}
+
+/// The ray in an instance, rounded as the kernel does it.
+pub fn local_ray(arrays: &DeviceArrays, ray: &Ray, instance: u32) -> Ray {
+    let rows = arrays.instances[instance as usize].local_from_world;
+    let ([ox, oy, oz], [dx, dy, dz]) = (ray.origin, ray.direction);
+    Ray {
+        origin: rows.map(|[x, y, z, w]| (x * ox + y * oy) + z * oz + w),
+        direction: rows.map(|[x, y, z, _]| (x * dx + y * dy) + z * dz),
+        ..*ray
+    }
+}
+
+fn vector(v: [f32; 3]) -> DVec3 {
+    DVec3::from_array(v.map(f64::from))
+}

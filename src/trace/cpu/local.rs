@@ -1,0 +1,165 @@
+//! Sixteen rays, a lane each: in world space, and in the space of an instance with all that boxes and triangles need.
+
+use fearless_simd::prelude::*;
+use fearless_simd::{Simd, f32x16, u32x16};
+use glam::Vec3;
+
+use super::lanes::{LANES, Numbers, abs, each, greatest, load};
+use super::triangles::Shear;
+use crate::device::layout::{Instance, Ray, WideNode};
+use crate::trace::kernel::{LEAST_COMPONENT, LEAST_SHARE};
+
+/// Rays in world space.
+pub(super) struct Packet<S: Simd> {
+    pub(super) origins: [f32x16<S>; 3],
+    pub(super) directions: [f32x16<S>; 3],
+    pub(super) t_min: f32x16<S>,
+    pub(super) t_max: f32x16<S>,
+}
+
+impl<S: Simd> Packet<S> {
+    #[inline(always)]
+    pub(super) fn new(simd: S, rays: &[Ray; LANES]) -> Self {
+        // Three times the even elements and the odd ones: then each vector holds one number of all rays.
+        let words: &[Numbers; 8] = bytemuck::cast_ref(rays);
+        let v: [f32x16<S>; 8] = [
+            load(simd, words[0]),
+            load(simd, words[1]),
+            load(simd, words[2]),
+            load(simd, words[3]),
+            load(simd, words[4]),
+            load(simd, words[5]),
+            load(simd, words[6]),
+            load(simd, words[7]),
+        ];
+        let v = deinterleaved(deinterleaved(deinterleaved(v)));
+        Self { origins: [v[0], v[1], v[2]], t_min: v[3], directions: [v[4], v[5], v[6]], t_max: v[7] }
+    }
+}
+
+/// Of pairs of vectors the even elements, then the odd ones.
+#[inline(always)]
+fn deinterleaved<S: Simd>(v: [f32x16<S>; 8]) -> [f32x16<S>; 8] {
+    let (a, b, c, d) =
+        (v[0].deinterleave(v[1]), v[2].deinterleave(v[3]), v[4].deinterleave(v[5]), v[6].deinterleave(v[7]));
+    [a.0, b.0, c.0, d.0, a.1, b.1, c.1, d.1]
+}
+
+/// [`slab_ray`](crate::trace::kernel::slab_ray)'s reciprocals.
+#[inline(always)]
+pub(super) fn reciprocals<S: Simd>(simd: S, directions: [f32x16<S>; 3]) -> [f32x16<S>; 3] {
+    let lengths = abs(directions);
+    let least = (greatest(lengths) * LEAST_SHARE).max(LEAST_COMPONENT);
+    each(
+        [0, 1, 2],
+        #[inline(always)]
+        |axis: usize| {
+            let reciprocal = f32x16::splat(simd, 1.0) / lengths[axis].max(least);
+            directions[axis].simd_lt(0.0).select(-reciprocal, reciprocal)
+        },
+    )
+}
+
+/// The rays of a packet in the space of an instance.
+pub(super) struct LocalPacket<S: Simd> {
+    pub(super) origins: [f32x16<S>; 3],
+    pub(super) directions: [f32x16<S>; 3],
+    pub(super) reciprocals: [f32x16<S>; 3],
+    pub(super) t_min: f32x16<S>,
+    /// For each axis a bit for each ray that goes down it.
+    pub(super) down: [u64; 3],
+    /// A bit for each ray that goes most along x; one for each of the others that goes most along y.
+    pub(super) most: [u64; 2],
+    pub(super) shear: Shear<f32x16<S>>,
+    pub(super) depth_scale: f32x16<S>,
+}
+
+impl<S: Simd> LocalPacket<S> {
+    /// In the space of an instance whose geometry has that root.
+    #[inline(always)]
+    pub(super) fn new(simd: S, packet: &Packet<S>, instance: &Instance, root: &WideNode) -> Self {
+        let [o, d] = [packet.origins, packet.directions];
+        let rows = &instance.local_from_world;
+        let origins = each(
+            *rows,
+            #[inline(always)]
+            |[x, y, z, w]| (o[0] * x + o[1] * y) + o[2] * z + w,
+        );
+        let directions = each(
+            *rows,
+            #[inline(always)]
+            |[x, y, z, _]| (d[0] * x + d[1] * y) + d[2] * z,
+        );
+        let down = each(
+            directions,
+            #[inline(always)]
+            |d| d.simd_lt(0.0).to_bitmask(),
+        );
+
+        // As `shear_ray`.
+        let [x, y, z] = abs(directions);
+        let x_most = x.simd_ge(y) & x.simd_ge(z);
+        let y_most = y.simd_ge(z);
+        let [x, y, z] = directions;
+        let depth = x_most.select(x, y_most.select(y, z));
+        let i = x_most.select(y, y_most.select(z, x));
+        let j = x_most.select(z, y_most.select(x, y));
+        let goes_down = depth.simd_lt(0.0);
+        let (i, j) = (goes_down.select(j, i), goes_down.select(i, j));
+        let extent = greatest(abs(origins)).max(f32x16::splat(simd, extent(root)));
+        let scale = reciprocal_power_of_two(simd, extent);
+        Self {
+            origins,
+            directions,
+            reciprocals: reciprocals(simd, directions),
+            t_min: packet.t_min,
+            down,
+            most: [x_most.to_bitmask(), y_most.to_bitmask() & !x_most.to_bitmask()],
+            shear: Shear {
+                minus_scale: -scale,
+                slopes: [-i / depth * scale, -j / depth * scale],
+                t_scale: f32x16::splat(simd, 1.0) / depth,
+            },
+            depth_scale: depth.abs() * scale,
+        }
+    }
+
+    /// The axes of one ray's [`Shear`], across and along.
+    #[inline(always)]
+    pub(super) fn axes(&self, lane: usize) -> [usize; 3] {
+        let depth = if self.most[0] >> lane & 1 != 0 {
+            0
+        } else if self.most[1] >> lane & 1 != 0 {
+            1
+        } else {
+            2
+        };
+        AXES[depth][(self.down[depth] >> lane & 1) as usize]
+    }
+
+    /// Bit 0 where a ray goes down x, bit 1 where down y, bit 2 where down z.
+    #[inline(always)]
+    pub(super) fn octant(&self, lane: usize) -> usize {
+        let [x, y, z] = self.down;
+        (x >> lane & 1 | (y >> lane & 1) << 1 | (z >> lane & 1) << 2) as usize
+    }
+}
+
+/// For the axis along which a ray goes most, up or down it: the axes that become x, y and t. Left and right are swapped for a ray that
+/// looks down the axis, so that the winding stays.
+static AXES: [[[usize; 3]; 2]; 3] = [[[1, 2, 0], [2, 1, 0]], [[2, 0, 1], [0, 2, 1]], [[0, 1, 2], [1, 0, 2]]];
+
+/// The largest coordinate of a geometry.
+fn extent(root: &WideNode) -> f32 {
+    let step = |axis: usize| f32::from_bits(u32::from(root.exponents[axis]) << 23);
+    let least = Vec3::from_array(root.origin);
+    let greatest = least + Vec3::new(step(0), step(1), step(2)) * 255.0;
+    least.abs().max(greatest.abs()).max_element()
+}
+
+/// As [the kernel's](crate::trace::kernel::reciprocal_power_of_two).
+#[inline(always)]
+fn reciprocal_power_of_two<S: Simd>(simd: S, v: f32x16<S>) -> f32x16<S> {
+    let exponents = (v.bitcast::<u32x16<S>>() >> 23).min(u32x16::splat(simd, 253));
+    ((u32x16::splat(simd, 254) - exponents) << 23).bitcast()
+}
