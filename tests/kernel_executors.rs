@@ -9,7 +9,7 @@ use glam::DAffine3;
 use kernel_support::{Mesh, Placed, arrays};
 use ropewalk::Error;
 use ropewalk::compile::Needs;
-use ropewalk::device::layout::FrameParams;
+use ropewalk::device::layout::{FrameParams, LIGHT_DIRECTIONAL, Light};
 use ropewalk::image::Image;
 use ropewalk::trace::{Cpu, Emulated, FrameRequest, Recursive, Tracer};
 
@@ -65,6 +65,31 @@ fn aovs_tell_what_was_met() {
         assert!(aovs.node[middle] != Default::default() && aovs.triangle[middle] < 1280);
     }
     assert!(images(&request(8, 8, false)).iter().all(|image| image.aovs.is_none()));
+}
+
+#[test]
+fn the_rays_of_a_frame_are_counted() {
+    let mut arrays = arrays(&[Mesh::displaced_icosphere(3)], &[Placed::new(0, DAffine3::IDENTITY)]);
+    arrays.lights.replace(&[Light {
+        kind: LIGHT_DIRECTIONAL,
+        direction: [0.0, 0.0, -1.0],
+        color: [1.0; 3],
+        ..Light::zeroed()
+    }]);
+    let mut frame = request(32, 32, true);
+    let mut emulated = Emulated::default();
+    emulated.render(&arrays, &frame).unwrap();
+    let depth = emulated.read().unwrap().aovs.unwrap().depth;
+    let first_hits = depth.iter().filter(|depth| depth.is_finite()).count() as u64;
+
+    let unlit = emulated.count_frame(&arrays, &frame);
+    assert_eq!((unlit.rays, unlit.first_hits, unlit.shadow_rays), (1024, first_hits, 0));
+    frame.params.light_count = 1;
+    let lit = emulated.count_frame(&arrays, &frame);
+    assert_eq!((lit.rays, lit.first_hits), (1024, first_hits));
+    // Facets that the light grazes ask for nothing.
+    assert!((first_hits * 9 / 10..=first_hits).contains(&lit.shadow_rays), "{lit:?}");
+    assert!(unlit.work.nodes > 1024 && lit.work.nodes > unlit.work.nodes && lit.work.triangles > unlit.work.triangles);
 }
 
 #[test]

@@ -9,7 +9,7 @@ use kernel_support::{Builder, Mesh, Placed, Random, arrays_by, tracers};
 use ropewalk::accel::TopLevel;
 use ropewalk::device::DeviceArrays;
 use ropewalk::device::layout::{InstanceFlags, NONE, Node, PrimitiveRange, Ray};
-use ropewalk::trace::{Counts, Emulated, Layout};
+use ropewalk::trace::{Counts, Emulated, Layout, Recursive, Tracer as _};
 
 /// All executors and layouts agree on these rays.
 fn agree(arrays: &mut DeviceArrays, rays: &[Ray], ray_mask: u32) {
@@ -154,4 +154,22 @@ fn wide_nodes_cost_fewer_fetches() {
     assert!(wide.nodes * 3 < rope.nodes && wide.bytes < rope.bytes, "{rope:?} {wide:?}");
     assert!(rope.boxes == rope.nodes && wide.boxes < 8 * wide.nodes);
     assert_eq!(Emulated::default().count_any_hits(&arrays, &[], 1), Counts::default());
+}
+
+#[test]
+fn recursion_visits_what_ropes_do() {
+    let mut random = Random(5);
+    let meshes = [Mesh::displaced_icosphere(4), Mesh::displaced_icosphere(2)];
+    let mut arrays = arrays_by(Builder::Product, &meshes, &placed(&mut random, 2, 40));
+    let rays = rays(&mut random, 4.0, 5000);
+    let ropes = Emulated::default().with_layout(Layout::Rope);
+    let mut recursive = Recursive::default();
+    recursive.upload(&mut arrays).unwrap();
+    let closest = ropes.count_closest_hits(&arrays, &rays, 1);
+    assert!(closest.triangles > 1000 && closest.instances > 1000, "{closest:?}");
+    assert_eq!(recursive.count_closest_hits(&arrays, &rays, 1), closest);
+    // After a hit it only looks at the siblings on its way up.
+    let (found, expected) = (recursive.count_any_hits(&arrays, &rays, 1), ropes.count_any_hits(&arrays, &rays, 1));
+    assert_eq!((found.triangles, found.instances), (expected.triangles, expected.instances));
+    assert!((expected.nodes..2 * expected.nodes).contains(&found.nodes), "{found:?} {expected:?}");
 }

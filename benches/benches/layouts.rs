@@ -8,7 +8,7 @@ use std::process::ExitCode;
 use clap::Parser;
 use ropewalk_bench::layouts::{Layout, LayoutScene, paper_arrays};
 use ropewalk_bench::rays::{Differences, RayKind, RaySets, true_answers};
-use ropewalk_bench::scenes::{BenchScene, SCENES};
+use ropewalk_bench::scenes::{BenchScene, ImageSize, SCENES};
 use ropewalk_bench::{Options, Report, Result};
 
 const QUICK_NAMES: [&str; 3] = ["sphere", "bunny", "sponza"];
@@ -60,7 +60,7 @@ fn count_all(arguments: &Arguments) -> Result<Report> {
     for recipe in &SCENES {
         let is_named = arguments.scene.iter().any(|name| name == recipe.name);
         if is_named || arguments.scene.is_empty() && (!quick || QUICK_NAMES.contains(&recipe.name)) {
-            count(&recipe.load()?, kinds, quick, &mut report)?;
+            count(&recipe.load(ImageSize::Paper)?, kinds, quick, &mut report)?;
         }
     }
     Ok(report)

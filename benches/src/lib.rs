@@ -4,10 +4,13 @@
 //! compared runs in turns, so that whatever else the machine does hits all of them alike.
 
 pub mod embree;
+#[cfg(feature = "gpu")]
+pub mod gpu;
 pub mod layouts;
 pub mod rays;
 pub mod runner;
 pub mod scenes;
+pub mod shapes;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -16,6 +19,7 @@ use std::time::{Duration, Instant};
 use clap::Parser;
 use comfy_table::Table;
 use comfy_table::presets::ASCII_MARKDOWN;
+use serde_json::{Value, json};
 
 /// What went wrong, in words.
 pub type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;
@@ -29,9 +33,16 @@ pub struct Options {
     /// Write the table to this file, comma-separated.
     #[arg(long, value_name = "FILE")]
     pub csv: Option<PathBuf>,
+    /// Write everything to this file as JSON, with the machine and, with the cargo feature `gpu`, the adapter.
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
     /// Exit with an error if a goal is missed.
     #[arg(long)]
     pub strict: bool,
+    /// Let a software renderer pass for a GPU where there is none, under its own name: to try a benchmark out, not to quote.
+    #[cfg(feature = "gpu")]
+    #[arg(long)]
+    pub software: bool,
     /// Given by `cargo bench`, without meaning here.
     #[arg(long, hide = true)]
     bench: bool,
@@ -89,13 +100,38 @@ pub enum Target {
 pub struct Report {
     header: Vec<&'static str>,
     rows: Vec<Vec<String>>,
-    goals: Vec<(String, f64, Target, &'static str)>,
+    notes: Vec<String>,
+    goals: Vec<Goal>,
+}
+
+struct Goal {
+    name: String,
+    measured: f64,
+    target: Target,
+    unit: &'static str,
+}
+
+impl Goal {
+    fn is_reached(&self) -> bool {
+        match self.target {
+            Target::AtLeast(target) => self.measured >= target,
+            Target::AtMost(target) => self.measured <= target,
+        }
+    }
+
+    /// Between the figure and its target, and the target.
+    fn sign(&self) -> (&'static str, f64) {
+        match self.target {
+            Target::AtLeast(target) => (">=", target),
+            Target::AtMost(target) => ("<=", target),
+        }
+    }
 }
 
 impl Report {
     /// An empty table with these columns.
     pub fn new(header: &[&'static str]) -> Self {
-        Self { header: header.to_vec(), rows: Vec::new(), goals: Vec::new() }
+        Self { header: header.to_vec(), rows: Vec::new(), notes: Vec::new(), goals: Vec::new() }
     }
 
     /// Adds a row.
@@ -105,7 +141,12 @@ impl Report {
 
     /// Adds a goal: `measured` in `unit` against its target.
     pub fn goal(&mut self, name: impl Into<String>, measured: f64, target: Target, unit: &'static str) {
-        self.goals.push((name.into(), measured, target, unit));
+        self.goals.push(Goal { name: name.into(), measured, target, unit });
+    }
+
+    /// Adds a finding in words, for below the table.
+    pub fn note(&mut self, finding: impl Into<String>) {
+        self.notes.push(finding.into());
     }
 
     /// Prints everything, writes the file asked for, and says how the program is to end.
@@ -115,21 +156,23 @@ impl Report {
         table.load_style(ASCII_MARKDOWN);
         table.set_header(&self.header).add_rows(&self.rows);
         println!("{table}\n");
-        if let Some(path) = &options.csv
-            && let Err(error) = std::fs::write(path, self.csv())
-        {
-            eprintln!("{}: {error}", path.display());
-            return ExitCode::FAILURE;
+        for (path, text) in [(&options.csv, Self::csv as fn(&Self) -> String), (&options.json, Self::json)] {
+            if let Some(path) = path
+                && let Err(error) = std::fs::write(path, text(self))
+            {
+                eprintln!("{}: {error}", path.display());
+                return ExitCode::FAILURE;
+            }
         }
-        let mut all_reached = true;
-        for (name, measured, target, unit) in &self.goals {
-            let (reached, sign, target) = match *target {
-                Target::AtLeast(target) => (*measured >= target, ">=", target),
-                Target::AtMost(target) => (*measured <= target, "<=", target),
-            };
-            all_reached &= reached;
-            println!("GOAL {name} {measured:.3} {sign} {target} {unit} {}", if reached { "PASS" } else { "FAIL" });
+        for note in &self.notes {
+            println!("{note}");
         }
+        for goal in &self.goals {
+            let (Goal { name, measured, unit, .. }, (sign, target)) = (goal, goal.sign());
+            let verdict = if goal.is_reached() { "PASS" } else { "FAIL" };
+            println!("GOAL {name} {measured:.3} {sign} {target} {unit} {verdict}");
+        }
+        let all_reached = self.goals.iter().all(Goal::is_reached);
         if options.strict && !all_reached { ExitCode::FAILURE } else { ExitCode::SUCCESS }
     }
 
@@ -138,6 +181,26 @@ impl Report {
         let line = |row: &Vec<String>| row.iter().map(quoted).collect::<Vec<_>>().join(",");
         self.rows.iter().fold(self.header.join(",") + "\n", |csv, row| csv + &line(row) + "\n")
     }
+
+    fn json(&self) -> String {
+        let goals = self.goals.iter().map(|goal| {
+            let (sign, target) = goal.sign();
+            let Goal { name, measured, unit, .. } = goal;
+            json!({ "name": name, "measured": measured, "sign": sign, "target": target, "unit": unit, "reached": goal.is_reached() })
+        });
+        let goals: Vec<Value> = goals.collect();
+        let (columns, rows, notes) = (&self.header, &self.rows, &self.notes);
+        let all = json!({ "machine": machine(), "adapter": adapter(), "columns": columns, "rows": rows, "notes": notes, "goals": goals });
+        format!("{all:#}\n")
+    }
+}
+
+/// The adapter that the executor `gpu` would run on, or a software one in its place; null without the cargo feature.
+fn adapter() -> Value {
+    #[cfg(feature = "gpu")]
+    return gpu::adapter();
+    #[cfg(not(feature = "gpu"))]
+    Value::Null
 }
 
 /// The processor, as the system names it, and how many threads there are.

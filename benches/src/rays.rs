@@ -5,12 +5,12 @@ use std::f32::consts::TAU;
 use clap::ValueEnum;
 use glam::Vec3;
 use rayon::prelude::*;
-use ropewalk::Camera;
 use ropewalk::device::layout::{Hit, NONE, Ray};
 use ropewalk::trace::{Emulated, Tracer as _};
+use ropewalk::{Camera, View};
 
 use crate::Result;
-use crate::scenes::{BenchScene, HEIGHT, WIDTH};
+use crate::scenes::BenchScene;
 
 /// What rays are for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -163,12 +163,13 @@ fn primary(scene: &BenchScene) -> Vec<Ray> {
         Camera::Perspective { y_fov, .. } => (0.5 * y_fov).tan(),
         Camera::Orthographic { y_mag, .. } => y_mag,
     };
-    let (origin, pixel) = (pose.translation.as_vec3(), 2.0 * half_height / HEIGHT as f32);
+    let View { width, height, .. } = scene.view;
+    let (origin, pixel) = (pose.translation.as_vec3(), 2.0 * half_height / height as f32);
     let ray = |x: u32, y: u32| {
-        let (x, y) = (x as f32 + 0.5 - 0.5 * WIDTH as f32, 0.5 * HEIGHT as f32 - y as f32 - 0.5);
+        let (x, y) = (x as f32 + 0.5 - 0.5 * width as f32, 0.5 * height as f32 - y as f32 - 0.5);
         ray(origin, right * (x * pixel) + up * (y * pixel) - back)
     };
-    let blocks = (0..HEIGHT / BLOCK).flat_map(|y| (0..WIDTH / BLOCK).map(move |x| [x * BLOCK, y * BLOCK]));
+    let blocks = (0..height / BLOCK).flat_map(|y| (0..width / BLOCK).map(move |x| [x * BLOCK, y * BLOCK]));
     blocks.flat_map(|[x, y]| (0..BLOCK * BLOCK).map(move |i| ray(x + i % BLOCK, y + i / BLOCK))).collect()
 }
 
@@ -212,7 +213,7 @@ impl Surface {
 mod tests {
     use super::*;
     use crate::layouts::{Layout, LayoutScene, paper_arrays};
-    use crate::scenes::SCENES;
+    use crate::scenes::{ImageSize, SCENES};
 
     #[test]
     fn differences_are_seen() {
@@ -226,7 +227,7 @@ mod tests {
 
     #[test]
     fn layouts_find_what_the_kernel_finds() {
-        let scene = SCENES.iter().find(|recipe| recipe.name == "sphere").unwrap().load().unwrap();
+        let scene = SCENES.iter().find(|recipe| recipe.name == "sphere").unwrap().load(ImageSize::Paper).unwrap();
         let paper = paper_arrays(scene.arrays()).unwrap();
         let sets = RaySets::new(&scene).unwrap();
         for kind in RayKind::ALL {

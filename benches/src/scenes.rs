@@ -1,16 +1,17 @@
 //! The scenes that rays are measured in, each with a camera and a light.
 
 use std::collections::HashSet;
-use std::f64::consts::TAU;
 use std::path::PathBuf;
 
-use glam::{DQuat, DVec3, Vec3, Vec4};
-use ropewalk::compile::Compiler;
+use clap::ValueEnum;
+use glam::{DVec3, Vec3, Vec4};
+use ropewalk::compile::{Compiler, Needs};
 use ropewalk::device::DeviceArrays;
 use ropewalk::device::layout::{Hit, Instance, NONE, Node, Triangle};
-use ropewalk::{Camera, Core, CoreKey, Geometry, Material, Scene, Transform, View, gltf};
+use ropewalk::{Camera, Material, Scene, View, gltf};
 
 use crate::Result;
+use crate::shapes::{add_copies, geometry_core, sphere};
 
 /// A scene by its recipe.
 #[derive(Clone, Copy, Debug)]
@@ -34,6 +35,7 @@ enum Source {
 }
 
 const BUNNY: &str = "meshes/stanford-bunny.glb";
+const BUNNIES: u32 = 1000;
 
 /// Every scene: single objects that fill some 40 % of the image, interiors that fill all of it, and instances.
 pub const SCENES: [Recipe; 9] = [
@@ -89,10 +91,35 @@ const fn bunnies(name: &'static str, overlap: f64) -> Recipe {
     Recipe { name, source: Source::Bunnies(overlap), eye, target, light }
 }
 
-/// Pixels a row.
-pub const WIDTH: u32 = 800;
-/// Rows of pixels.
-pub const HEIGHT: u32 = 600;
+/// How many pixels primary rays go through. Both numbers are multiples of the side of a block of rays.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum ImageSize {
+    /// The paper's.
+    #[default]
+    #[value(name = "800x600")]
+    Paper,
+    /// What most screens have.
+    #[value(name = "1920x1080")]
+    FullHd,
+}
+
+impl ImageSize {
+    /// Columns and rows.
+    pub fn pixels(self) -> [u32; 2] {
+        match self {
+            Self::Paper => [800, 600],
+            Self::FullHd => [1920, 1080],
+        }
+    }
+
+    /// As `--size` takes it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Paper => "800x600",
+            Self::FullHd => "1920x1080",
+        }
+    }
+}
 
 /// A scene compiled for tracing. All that has a place is in the space of its device arrays.
 #[derive(Debug)]
@@ -101,6 +128,8 @@ pub struct BenchScene {
     pub name: &'static str,
     /// Holds the device arrays.
     pub compiler: Compiler,
+    /// What frames of it need.
+    pub needs: Needs,
     triangle_count: u64,
     /// What is seen of it.
     pub view: View,
@@ -109,6 +138,18 @@ pub struct BenchScene {
 }
 
 impl BenchScene {
+    /// Compiles the scene for that view. The light is a point of the world.
+    ///
+    /// # Errors
+    /// As [`Compiler::compile`].
+    pub fn compile(name: &'static str, scene: &mut Scene, mut view: View, light: DVec3) -> Result<Self> {
+        let mut compiler = Compiler::new();
+        let needs = compiler.compile(scene, view.observer())?.needs;
+        view.world_from_view.translation -= compiler.origin();
+        let light = (light - compiler.origin()).as_vec3();
+        Ok(Self { name, compiler, needs, triangle_count: scene.instanced_triangle_count(), view, light })
+    }
+
     /// The device arrays.
     pub fn arrays(&self) -> &DeviceArrays {
         self.compiler.arrays()
@@ -171,25 +212,38 @@ pub(crate) fn leaves(nodes: &[Node]) -> impl Iterator<Item = (usize, usize)> {
 }
 
 impl Recipe {
-    /// Loads or makes the scene. Every material is opaque and has two sides, so that all peers are asked the same.
+    /// Loads or makes the scene and compiles it. Every material is opaque and has two sides, so that all peers are asked the same.
     ///
     /// # Errors
     /// A file is missing or damaged.
-    pub fn load(&self) -> Result<BenchScene> {
+    pub fn load(&self, size: ImageSize) -> Result<BenchScene> {
+        let opaque = Material { double_sided: true, ..Material::diffuse(Vec3::splat(0.8)) };
+        BenchScene::compile(self.name, &mut self.scene(&opaque)?, self.view(size.pixels(), 1.0), self.light())
+    }
+
+    /// The scene, all of one material and without a light.
+    ///
+    /// # Errors
+    /// A file is missing or damaged.
+    pub fn scene(&self, material: &Material) -> Result<Scene> {
         let mut scene = Scene::new();
         self.fill(&mut scene)?;
         let materials: Vec<_> = scene.materials().map(|(key, _)| key).collect();
         for key in materials {
-            scene.set_material(key, Material { double_sided: true, ..Material::diffuse(Vec3::splat(0.8)) })?;
+            scene.set_material(key, material.clone())?;
         }
-        let [eye, target, light] = [self.eye, self.target, self.light].map(DVec3::from_array);
-        let mut view = View::look_at(eye, target, DVec3::Y, Camera::default(), WIDTH, HEIGHT);
-        let mut compiler = Compiler::new();
-        compiler.compile(&mut scene, view.observer())?;
-        view.world_from_view.translation -= compiler.origin();
-        let light = (light - compiler.origin()).as_vec3();
-        let triangle_count = scene.instanced_triangle_count();
-        Ok(BenchScene { name: self.name, compiler, triangle_count, view, light })
+        Ok(scene)
+    }
+
+    /// What is seen of it from that many times the usual distance.
+    pub fn view(&self, [width, height]: [u32; 2], distance: f64) -> View {
+        let [eye, target] = [self.eye, self.target].map(DVec3::from_array);
+        View::look_at(target + (eye - target) * distance, target, DVec3::Y, Camera::default(), width, height)
+    }
+
+    /// Where its light is.
+    pub fn light(&self) -> DVec3 {
+        DVec3::from_array(self.light)
     }
 
     fn fill(&self, scene: &mut Scene) -> Result<()> {
@@ -205,7 +259,7 @@ impl Recipe {
                 let mut original = Scene::new();
                 import(BUNNY, &mut original)?;
                 let bunny = original.geometries().next().map(|(_, geometry)| geometry.clone());
-                add_copies(scene, bunny.ok_or("the bunny is empty")?, overlap)
+                add_copies(scene, bunny.ok_or("the bunny is empty")?, BUNNIES, overlap)
             }
         }
     }
@@ -222,57 +276,5 @@ fn import(file: &str, scene: &mut Scene) -> Result<()> {
     let root = scene.root();
     let imported = gltf::import(&path, scene, root);
     imported.map_err(|error| format!("{}: {error} (set ROPEWALK_SCENES to the folder of scenes)", path.display()))?;
-    Ok(())
-}
-
-fn geometry_core(scene: &mut Scene, geometry: Geometry) -> Result<CoreKey> {
-    let geometry = scene.add_geometry(geometry)?;
-    let material = scene.add_material(Material::default())?;
-    Ok(scene.add_core(Core::Geometry { geometry, material })?)
-}
-
-/// A sphere of radius 1 of 2 `columns` (`rows` - 1) triangles: bands of quads between two fans.
-pub fn sphere(rows: u32, columns: u32) -> Geometry {
-    let mut positions = vec![Vec3::Y];
-    for row in 1..rows {
-        let (radius, height) = (std::f64::consts::PI * f64::from(row) / f64::from(rows)).sin_cos();
-        for column in 0..columns {
-            let (sine, cosine) = (TAU * f64::from(column) / f64::from(columns)).sin_cos();
-            positions.push(DVec3::new(radius * cosine, height, -radius * sine).as_vec3());
-        }
-    }
-    positions.push(Vec3::NEG_Y);
-    let vertex = |row: u32, column: u32| 1 + (row - 1) * columns + column % columns;
-    let last = positions.len() as u32 - 1;
-    let mut indices = Vec::new();
-    for c in 0..columns {
-        indices.push([0, vertex(1, c), vertex(1, c + 1)]);
-        indices.push([vertex(rows - 1, c + 1), vertex(rows - 1, c), last]);
-        for r in 1..rows - 1 {
-            let [a, b, d, e] = [vertex(r, c), vertex(r, c + 1), vertex(r + 1, c), vertex(r + 1, c + 1)];
-            indices.extend([[a, d, e], [a, e, b]]);
-        }
-    }
-    Geometry::new(positions, indices)
-}
-
-/// A thousand copies, scaled so that the cube that holds their centres has a side of 1.
-fn add_copies(scene: &mut Scene, geometry: Geometry, overlap: f64) -> Result<()> {
-    const COUNT: usize = 1000;
-    let core = geometry_core(scene, geometry)?;
-    let Some(key) = scene.core_of(core)?.geometry() else { return Ok(()) };
-    let bounds = scene.geometry_bounds(key)?;
-    let size = bounds.max - bounds.min;
-    let scale = (overlap / (COUNT as f64 * size.x * size.y * size.z)).cbrt();
-    let mut random = fastrand::Rng::with_seed(1);
-    let root = scene.root();
-    for _ in 0..COUNT {
-        let mut signed = || random.f64() * 2.0 - 1.0;
-        let rotation = DQuat::from_xyzw(signed(), signed(), signed(), signed()).normalize();
-        let place = 0.5 * DVec3::new(signed(), signed(), signed());
-        let translation = place - rotation * (scale * bounds.center());
-        let node = scene.add(root, Transform::Trs { translation, rotation, scale: DVec3::splat(scale) })?;
-        scene.add(node, core)?;
-    }
     Ok(())
 }

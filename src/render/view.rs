@@ -178,8 +178,10 @@ impl View {
         Observer { eye: self.world_from_view.translation, up, height }
     }
 
-    /// The uniform data of this view, with positions relative to `origin`.
-    pub(super) fn params(&self, origin: DVec3, light_count: u32) -> FrameParams {
+    /// What an executor gets of this view, which must be [valid](Self::validate): positions are relative to `origin` (see
+    /// [`Compiler::origin`](crate::compile::Compiler::origin)), and the first `light_count` lights of the device arrays shine. For
+    /// [frames](crate::trace::FrameRequest) that an application has traced by an executor of its own.
+    pub fn params(&self, origin: DVec3, light_count: u32) -> FrameParams {
         let axes = self.world_from_view.matrix3;
         let [right, up, back] = [axes.x_axis, axes.y_axis, axes.z_axis].map(|axis| axis.normalize_or_zero().as_vec3());
         let (half_width, half_height, orthographic) = self.half_extent();

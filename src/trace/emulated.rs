@@ -1,11 +1,17 @@
 //! The `emulated` executor: the GPU kernel in Rust, one ray after the other (the paper's "Emulated").
 
-use super::kernel::{KernelScene, any_hit, camera_ray, closest_hit, count_any, count_closest, render_pixel};
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::kernel::{
+    KernelScene, Traverse, any_hit, camera_ray, closest_hit, count_any, count_closest, count_transmittance,
+    render_pixel, transmittance,
+};
 use super::planes::Planes;
-use super::{Counts, DeviceInfo, FrameRequest, Layout, Tracer};
+use super::{Counts, DeviceInfo, FrameCounts, FrameRequest, Layout, Tracer};
 use crate::Result;
 use crate::device::DeviceArrays;
-use crate::device::layout::{Hit, Ray};
+use crate::device::layout::{Hit, NONE, Ray};
 use crate::image::Image;
 
 /// Runs the kernel on the calling thread: to debug it, and to compare others with. Reads the arrays in place.
@@ -33,6 +39,51 @@ impl Emulated {
     pub fn count_any_hits(&self, arrays: &DeviceArrays, rays: &[Ray], ray_mask: u32) -> Counts {
         let scene = KernelScene::with_layout(arrays, self.layout);
         sum(rays.iter().map(|ray| count_any(&scene, ray, ray_mask)))
+    }
+
+    /// What [`render`](Tracer::render) traces, and what that costs, by all threads. Of translucent instances whose triangles may be
+    /// in several leaves, what shadow rays cost is left out.
+    pub fn count_frame(&self, arrays: &DeviceArrays, request: &FrameRequest) -> FrameCounts {
+        let scene = KernelScene::with_layout(arrays, self.layout);
+        let params = &request.params;
+        let rows = (0..params.height).into_par_iter().map(|y| {
+            let mut rays = Counting { scene: &scene, counts: FrameCounts::default() };
+            for x in 0..params.width {
+                let primary = camera_ray(params, x, y);
+                let hit = rays.closest_hit(&primary, params.ray_mask);
+                rays.counts.first_hits += u64::from(hit.instance != NONE);
+                render_pixel(&mut rays, params, &primary, hit);
+            }
+            rays.counts
+        });
+        rows.reduce(FrameCounts::default, |mut sum, counts| {
+            sum += counts;
+            sum
+        })
+    }
+}
+
+/// The kernel's rays, counted.
+struct Counting<'a> {
+    scene: &'a KernelScene<'a>,
+    counts: FrameCounts,
+}
+
+impl<'a> Traverse<'a> for Counting<'a> {
+    fn scene(&self) -> &'a KernelScene<'a> {
+        self.scene
+    }
+
+    fn closest_hit(&mut self, ray: &Ray, ray_mask: u32) -> Hit {
+        self.counts.rays += 1;
+        self.counts.work += count_closest(self.scene, ray, ray_mask);
+        closest_hit(self.scene, ray, ray_mask)
+    }
+
+    fn transmittance(&mut self, ray: &Ray, ray_mask: u32) -> Vec3 {
+        self.counts.shadow_rays += 1;
+        self.counts.work += count_transmittance(self.scene, ray, ray_mask);
+        transmittance(self.scene, ray, ray_mask)
     }
 }
 

@@ -40,6 +40,28 @@ pub struct Counts {
     pub bytes: u64,
 }
 
+/// What a frame traces, and what that costs, whatever the machine.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct FrameCounts {
+    /// Rays that look for what they hit first: those through the pixels, mirrored and refracted ones.
+    pub rays: u64,
+    /// Of those through the pixels, the ones that hit something.
+    pub first_hits: u64,
+    /// Rays from surfaces to lights.
+    pub shadow_rays: u64,
+    /// What all of them cost.
+    pub work: Counts,
+}
+
+impl AddAssign for FrameCounts {
+    fn add_assign(&mut self, other: Self) {
+        self.rays += other.rays;
+        self.first_hits += other.first_hits;
+        self.shadow_rays += other.shadow_rays;
+        self.work += other.work;
+    }
+}
+
 impl AddAssign for Counts {
     fn add_assign(&mut self, other: Self) {
         self.nodes += other.nodes;

@@ -14,7 +14,7 @@ pub mod shader;
 pub use cpu::Cpu;
 pub use emulated::Emulated;
 pub(crate) use kernel::MAX_DEPTH;
-pub use layout::{Counts, Layout};
+pub use layout::{Counts, FrameCounts, Layout};
 pub use recursive::Recursive;
 
 use std::time::Duration;

@@ -6,12 +6,12 @@ use glam::Vec3;
 
 use super::kernel::math::{transform_point, transform_vector};
 use super::kernel::{
-    KernelScene, SlabRay, Traverse, camera_ray, cross_triangle, max_component, meets_box, render_pixel, shear_ray,
-    slab_ray,
+    Counter, KernelScene, SlabRay, Traverse, camera_ray, cross_triangle, max_component, meets_box, render_pixel,
+    shear_ray, slab_ray,
 };
 use super::planes::Planes;
 use super::queries::{Any, Candidate, Closest, Query, Transmittance};
-use super::{DeviceInfo, FrameRequest, Tracer};
+use super::{Counts, DeviceInfo, FrameRequest, Tracer};
 use crate::Result;
 use crate::device::DeviceArrays;
 use crate::device::layout::{Hit, Node, PrimitiveRange, Ray, Triangle};
@@ -45,6 +45,28 @@ struct Branch {
     children: Vec<Box<Branch>>,
     /// Of a leaf of a bottom level.
     triangles: Box<[Triangle]>,
+}
+
+impl Recursive {
+    /// What [`closest_hits`](Tracer::closest_hits) reads and tests. The arrays must have been uploaded.
+    pub fn count_closest_hits(&self, arrays: &DeviceArrays, rays: &[Ray], ray_mask: u32) -> Counts {
+        self.count::<Closest>(arrays, rays, ray_mask)
+    }
+
+    /// What [`any_hits`](Tracer::any_hits) reads and tests. The arrays must have been uploaded.
+    pub fn count_any_hits(&self, arrays: &DeviceArrays, rays: &[Ray], ray_mask: u32) -> Counts {
+        self.count::<Any>(arrays, rays, ray_mask)
+    }
+
+    fn count<Q: Query>(&self, arrays: &DeviceArrays, rays: &[Ray], ray_mask: u32) -> Counts {
+        let scene = KernelScene::new(arrays);
+        let tracer = Rays { scene: &scene, trees: self.trees.as_ref() };
+        let mut counts = Counts::default();
+        for ray in rays {
+            tracer.ask_counted::<Q, _>(ray, ray_mask, &mut counts);
+        }
+        counts
+    }
 }
 
 impl Default for Recursive {
@@ -152,11 +174,15 @@ struct Rays<'a> {
 
 impl Rays<'_> {
     fn ask<Q: Query>(&self, ray: &Ray, ray_mask: u32) -> Q {
+        self.ask_counted(ray, ray_mask, &mut ())
+    }
+
+    fn ask_counted<Q: Query, C: Counter>(&self, ray: &Ray, ray_mask: u32, counter: &mut C) -> Q {
         let mut query = Q::start(ray.t_max);
         let world = slab_ray(Vec3::from_array(ray.origin), Vec3::from_array(ray.direction));
         if let Some(top) = self.trees.and_then(|trees| trees.top.as_ref()) {
-            descend(top, &world, ray.t_min, ray.t_max, &mut |leaf| {
-                self.ask_instance(leaf.node.primitives.first(), ray, ray_mask, &mut query);
+            descend(top, &world, ray.t_min, ray.t_max, counter, &mut |leaf, counter| {
+                self.ask_instance(leaf.node.primitives.first(), ray, ray_mask, &mut query, counter);
                 query.t_max()
             });
         }
@@ -164,18 +190,21 @@ impl Rays<'_> {
         query
     }
 
-    fn ask_instance<Q: Query>(&self, index: u32, ray: &Ray, ray_mask: u32, query: &mut Q) {
+    fn ask_instance<Q: Query, C: Counter>(&self, index: u32, ray: &Ray, ray_mask: u32, query: &mut Q, counter: &mut C) {
         let instance = &self.scene.instances[index as usize];
         let Some(root) = self.trees.and_then(|trees| trees.bottom.get(&instance.first_node)) else { return };
         if instance.mask & ray_mask == 0 {
             return;
         }
+        counter.instance();
+        counter.read(instance);
         let origin = transform_point(&instance.local_from_world, Vec3::from_array(ray.origin));
         let direction = transform_vector(&instance.local_from_world, Vec3::from_array(ray.direction));
         let [min, max] = [root.node.min, root.node.max].map(|corner| Vec3::from_array(corner).abs());
         let shear = shear_ray(origin, direction, max_component(min.max(max).max(origin.abs())));
         let slab = slab_ray(origin, direction);
-        descend(root, &slab, ray.t_min, query.t_max(), &mut |leaf| {
+        descend(root, &slab, ray.t_min, query.t_max(), counter, &mut |leaf, counter| {
+            counter.triangles(leaf.node.primitives.count());
             let first = instance.first_triangle + leaf.node.primitives.first();
             for (triangle, corners) in (first..).zip(&leaf.triangles) {
                 let Some(crossing) = cross_triangle(&shear, corners) else { continue };
@@ -191,15 +220,25 @@ impl Rays<'_> {
 
 /// Shows the leaves whose boxes the ray meets no farther than `t_max`, which `visit` returns anew. Recursion is as deep as the
 /// tree.
-fn descend(branch: &Branch, ray: &SlabRay, t_min: f32, mut t_max: f32, visit: &mut dyn FnMut(&Branch) -> f32) -> f32 {
+fn descend<C: Counter>(
+    branch: &Branch,
+    ray: &SlabRay,
+    t_min: f32,
+    mut t_max: f32,
+    counter: &mut C,
+    visit: &mut dyn FnMut(&Branch, &mut C) -> f32,
+) -> f32 {
+    counter.node();
+    counter.read(&branch.node);
+    counter.boxes(1);
     if !meets_box(ray, t_min, t_max, &branch.node) {
         return t_max;
     }
     if branch.node.primitives != PrimitiveRange::INNER {
-        return visit(branch);
+        return visit(branch, counter);
     }
     for child in &branch.children {
-        t_max = descend(child, ray, t_min, t_max, visit);
+        t_max = descend(child, ray, t_min, t_max, counter, visit);
     }
     t_max
 }

@@ -14,7 +14,7 @@ use ropewalk::device::DeviceArrays;
 use ropewalk::device::layout::{Hit, NONE, Ray};
 use ropewalk::trace::{Cpu, Tracer as _};
 use ropewalk_bench::rays::{RayKind, RaySets, meet};
-use ropewalk_bench::scenes::SCENES;
+use ropewalk_bench::scenes::{ImageSize, SCENES};
 use ropewalk_bench::{Options, Report, Result, Target};
 
 const NAMES: [&str; 4] = ["bunny", "dragon", "sponza", "kitchen"];
@@ -106,7 +106,7 @@ fn measure_all(options: &Options) -> Result<Report> {
     ]);
     let names = if options.quick { &QUICK_NAMES[..] } else { &NAMES };
     for recipe in SCENES.iter().filter(|recipe| names.contains(&recipe.name)) {
-        let scene = recipe.load()?;
+        let scene = recipe.load(ImageSize::Paper)?;
         let arrays = scene.arrays();
         let sets = RaySets::new(&scene)?;
         let (mut rays_traced, mut wrong, mut far_off) = (0, 0, 0);

@@ -20,7 +20,7 @@ use ropewalk::{Geometry, Quality, Structure};
 use ropewalk_bench::embree::{self, Batch as _, Closest1, Embree};
 use ropewalk_bench::rays::{RayKind, RaySets};
 use ropewalk_bench::runner::{Runner as _, Traced};
-use ropewalk_bench::scenes::{BenchScene, Recipe, SCENES};
+use ropewalk_bench::scenes::{BenchScene, ImageSize, Recipe, SCENES};
 use ropewalk_bench::{Contender, Options, Report, Result, Target, medians, milliseconds, time};
 
 use peers::Peer;
@@ -73,7 +73,7 @@ struct Point {
 }
 
 fn measure(recipe: &Recipe, samples: usize, report: &mut Report) -> Result<()> {
-    let triangles = recipe.load()?.triangles();
+    let triangles = recipe.load(ImageSize::Paper)?.triangles();
     let embree = Embree::open(0)?;
     let peers = peers::all();
     let times = build_times(&triangles, &embree, &peers, samples);
@@ -144,7 +144,7 @@ fn build_times(triangles: &[[Vec3; 3]], embree: &Embree, peers: &[Peer], samples
 
 /// Diffuse rays a second on one thread, of ours and Embree's, in turns.
 fn rates(recipe: &Recipe, triangles: &[[Vec3; 3]], embree: &Embree, samples: usize) -> Result<Vec<f64>> {
-    let scene = recipe.load()?;
+    let scene = recipe.load(ImageSize::Paper)?;
     let sets = RaySets::new(&scene)?;
     let rays = sets.of(RayKind::Diffuse);
     let pool = ThreadPoolBuilder::new().num_threads(1).build()?;
@@ -170,7 +170,7 @@ fn rates(recipe: &Recipe, triangles: &[[Vec3; 3]], embree: &Embree, samples: usi
 
 /// A scene of one geometry whose structure is this.
 fn with_structure(recipe: &Recipe, structure: Structure) -> Result<BenchScene> {
-    let mut scene = recipe.load()?;
+    let mut scene = recipe.load(ImageSize::Paper)?;
     // The same triangles in the same order as they were given.
     let arrays = scene.compiler.arrays_mut();
     let mut triangles: Vec<_> = arrays.triangles.to_vec();

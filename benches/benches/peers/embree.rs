@@ -31,7 +31,7 @@ impl Peer for Embree4<'_> {
         vec![
             embree_1("", Role::Embree1, medium, rays, kind),
             embree_16("", Role::Embree16, medium, rays, kind, false),
-            embree_16(", coherent", Role::Embree16, medium, rays, kind, true),
+            embree_16(", coherent", Role::Embree16Coherent, medium, rays, kind, true),
             embree_1(", high quality", Role::Other, high, rays, kind),
             embree_16(", high quality", Role::Other, high, rays, kind, best),
             embree_1(", robust", Role::Other, robust, rays, kind),

@@ -21,6 +21,8 @@ pub enum Role {
     Embree1,
     /// The same, 16 at a time.
     Embree16,
+    /// Those with the flag for coherent rays.
+    Embree16Coherent,
     Other,
 }
 

@@ -4,9 +4,6 @@
 //! other. Counts are the kernel's own; the executor `cpu` walks by packets, which have no count a ray. With the cargo feature `gpu`
 //! the executor `gpu` is measured too, where there is a GPU.
 
-#[cfg(feature = "gpu")]
-mod gpu;
-
 use std::process::ExitCode;
 use std::time::Duration;
 
@@ -16,10 +13,12 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 use ropewalk::device::DeviceArrays;
 use ropewalk::device::layout::{NONE, Ray};
 use ropewalk::trace::{Counts, Cpu, Emulated, Layout};
+#[cfg(feature = "gpu")]
+use ropewalk_bench::gpu::Gpu;
 use ropewalk_bench::layouts::paper_arrays;
 use ropewalk_bench::rays::{Differences, RayKind, RaySets, true_answers};
 use ropewalk_bench::runner::{Runner, Traced};
-use ropewalk_bench::scenes::{BenchScene, SCENES};
+use ropewalk_bench::scenes::{BenchScene, ImageSize, SCENES};
 use ropewalk_bench::{Contender, Options, Report, Result, medians};
 
 /// What the kernel walks, and whether it is the paper's own arrays that it walks.
@@ -40,6 +39,9 @@ struct Arguments {
     /// Only these rays.
     #[arg(long, value_name = "KIND")]
     rays: Vec<RayKind>,
+    /// How many pixels primary rays go through.
+    #[arg(long, value_name = "SIZE", default_value = "800x600")]
+    size: ImageSize,
 }
 
 fn main() -> ExitCode {
@@ -58,6 +60,7 @@ fn measure_all(arguments: &Arguments) -> Result<Report> {
         "scene",
         "triangles",
         "bytes",
+        "size",
         "rays",
         "count",
         "executor",
@@ -79,7 +82,7 @@ fn measure_all(arguments: &Arguments) -> Result<Report> {
         let is_named = arguments.scene.iter().any(|name| name == recipe.name);
         let is_default = !arguments.options.quick || QUICK_NAMES.contains(&recipe.name);
         if is_named || arguments.scene.is_empty() && is_default {
-            measure_scene(&mut recipe.load()?, arguments, &pools, &mut report)?;
+            measure_scene(&mut recipe.load(arguments.size)?, arguments, &pools, &mut report)?;
         }
     }
     Ok(report)
@@ -135,7 +138,7 @@ fn measure_scene(
     #[cfg_attr(not(feature = "gpu"), expect(unused_mut, reason = "for the upload"))]
     let mut paper = paper_arrays(scene.arrays())?;
     #[cfg(feature = "gpu")]
-    let gpus = open_gpus(&mut paper, scene);
+    let gpus = open_gpus(&arguments.options, &mut paper, scene);
     let scene = &*scene;
     for &kind in kinds {
         let rays = sets.of(kind);
@@ -152,10 +155,10 @@ fn measure_scene(
             let arrays = if is_paper { &paper } else { scene.arrays() };
             let work = Some(Work::of(arrays, rays, kind, layout));
             if let Some(resident) = gpu.resident(rays, kind) {
-                entries.push(Entry { name: format!("gpu, {how}"), runner: Box::new(resident), work });
+                entries.push(Entry { name: format!("{}, {how}", gpu.label()), runner: Box::new(resident), work });
             }
             let runner = Box::new(gpu.transferred(arrays, rays, kind));
-            entries.push(Entry { name: format!("gpu, {how}, with transfers"), runner, work });
+            entries.push(Entry { name: format!("{}, {how}, with transfers", gpu.label()), runner, work });
         }
         let mut contenders: Vec<Contender> =
             entries.iter_mut().map(|entry| Box::new(|| entry.runner.run()) as Contender).collect();
@@ -163,7 +166,7 @@ fn measure_scene(
         drop(contenders);
         let truth = true_answers(scene, rays, kind)?;
         for (entry, time) in entries.iter().zip(&times) {
-            add_row(scene, kind, &truth, entry, [*time, times[0]], report);
+            add_row(scene, arguments.size, kind, &truth, entry, [*time, times[0]], report);
         }
     }
     Ok(())
@@ -171,13 +174,13 @@ fn measure_scene(
 
 /// The GPU with each of the layouts; none where there is no GPU, or one too small.
 #[cfg(feature = "gpu")]
-fn open_gpus(paper: &mut DeviceArrays, scene: &mut BenchScene) -> Vec<gpu::Gpu> {
+fn open_gpus(options: &Options, paper: &mut DeviceArrays, scene: &mut BenchScene) -> Vec<Gpu> {
     let opened = LAYOUTS.map(|(_, layout, is_paper)| {
-        gpu::Gpu::open(if is_paper { &mut *paper } else { scene.compiler.arrays_mut() }, layout)
+        Gpu::new(options, if is_paper { &mut *paper } else { scene.compiler.arrays_mut() }, layout)
     });
-    let opened: Result<Vec<gpu::Gpu>> = opened.into_iter().collect();
+    let opened: Result<Vec<Gpu>> = opened.into_iter().collect();
     match &opened {
-        Ok(gpus) => println!("{}: gpu: {}", scene.name, gpus[0].name()),
+        Ok(gpus) => println!("{}: {}: {}", scene.name, gpus[0].label(), gpus[0].name()),
         Err(error) => println!("{}: gpu: skipped: {error}", scene.name),
     }
     opened.unwrap_or_default()
@@ -191,6 +194,7 @@ fn cpu<'a>(pool: &'a ThreadPool, arrays: &'a DeviceArrays, rays: &'a [Ray], kind
 
 fn add_row(
     scene: &BenchScene,
+    size: ImageSize,
     kind: RayKind,
     truth: &[f32],
     entry: &Entry<'_>,
@@ -206,6 +210,7 @@ fn add_row(
         scene.name.to_owned(),
         scene.triangle_count().to_string(),
         scene.arrays().byte_count().to_string(),
+        size.name().to_owned(),
         kind.name().to_owned(),
         truth.len().to_string(),
         entry.name.clone(),

@@ -10,7 +10,6 @@ use ropewalk::device::DeviceArrays;
 use ropewalk::device::layout::{Instance, NONE, Node, Ray, Triangle};
 
 use super::{Counts, Layout, SlabRay, Tree, Walk};
-use crate::Result;
 use crate::rays::meet;
 use crate::scenes::leaves;
 
@@ -141,13 +140,22 @@ impl<'a> LayoutScene<'a> {
     }
 }
 
-/// The same scene with bottom-level structures as the paper has them, one triangle a leaf: all that batches of rays need.
+/// The same scene with bottom-level structures as the paper has them, one triangle a leaf, and without wide nodes.
 ///
 /// # Errors
 /// As [`Blas::build`].
-pub fn paper_arrays(arrays: &DeviceArrays) -> Result<DeviceArrays> {
+pub fn paper_arrays(arrays: &DeviceArrays) -> ropewalk::Result<DeviceArrays> {
     let mut paper = DeviceArrays::default();
     paper.tlas_nodes.replace(&arrays.tlas_nodes);
+    paper.geometries.replace(&arrays.geometries);
+    paper.indices.replace(&arrays.indices);
+    paper.normals.replace(&arrays.normals);
+    paper.tex_coords.replace(&arrays.tex_coords);
+    paper.colors.replace(&arrays.colors);
+    paper.materials.replace(&arrays.materials);
+    paper.texture_infos.replace(&arrays.texture_infos);
+    paper.texels.replace(&arrays.texels);
+    paper.lights.replace(&arrays.lights);
     let (mut instances, mut nodes, mut triangles) = (arrays.instances.to_vec(), Vec::new(), Vec::new());
     let mut starts = BTreeMap::new();
     for (index, _) in leaves(&arrays.tlas_nodes) {
@@ -156,9 +164,10 @@ pub fn paper_arrays(arrays: &DeviceArrays) -> Result<DeviceArrays> {
             Some(&start) => start,
             None => {
                 let start = (nodes.len() as u32, triangles.len() as u32);
-                let blas = Blas::build(&geometry(&bottom_level(arrays, instance).1), &BuildParams::PAPER)?;
+                let originals = each_once(bottom_level(arrays, instance).1);
+                let blas = Blas::build(&geometry(&originals), &BuildParams::PAPER)?;
                 nodes.extend(blas.nodes);
-                triangles.extend(blas.triangles);
+                triangles.extend(blas.triangles.iter().map(|triangle| originals[triangle.primitive as usize]));
                 starts.insert(instance.first_node, start);
                 start
             }
@@ -181,11 +190,35 @@ fn bottom_level<'a>(arrays: &'a DeviceArrays, instance: &Instance) -> (&'a [Node
     (&nodes[..count], triangles[..triangle_count].to_vec())
 }
 
-/// The geometry that a structure was built from, each triangle once.
-fn geometry(triangles: &[Triangle]) -> Geometry {
+/// The triangles without repetitions: a structure may hold one in several leaves.
+fn each_once(mut triangles: Vec<Triangle>) -> Vec<Triangle> {
     let mut seen = HashSet::new();
-    let once = triangles.iter().filter(|triangle| seen.insert(triangle.primitive));
-    let positions: Vec<Vec3> = once.flat_map(|t| [t.v0, t.v1, t.v2].map(Vec3::from_array)).collect();
+    triangles.retain(|triangle| seen.insert(triangle.primitive));
+    triangles
+}
+
+fn geometry(triangles: &[Triangle]) -> Geometry {
+    let positions: Vec<Vec3> = triangles.iter().flat_map(|t| [t.v0, t.v1, t.v2].map(Vec3::from_array)).collect();
     let indices: Vec<[u32; 3]> = (0..positions.len() as u32 / 3).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
     Geometry::new(positions, indices)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenes::{ImageSize, SCENES};
+
+    #[test]
+    fn the_papers_structure_holds_the_same_triangles_one_a_leaf() {
+        let scene = SCENES.iter().find(|recipe| recipe.name == "sphere").unwrap().load(ImageSize::Paper).unwrap();
+        let paper = paper_arrays(scene.arrays()).unwrap();
+        let by_primitive = |arrays: &DeviceArrays| {
+            let corners = |t: &Triangle| (t.primitive, [t.v0, t.v1, t.v2].map(|corner| corner.map(f32::to_bits)));
+            arrays.triangles.iter().map(corners).collect::<BTreeMap<_, _>>()
+        };
+        assert_eq!(paper.triangles.len(), 10_000);
+        assert_eq!(by_primitive(&paper), by_primitive(scene.arrays()));
+        assert!(leaves(&paper.blas_nodes).all(|(_, count)| count == 1));
+        assert_eq!(leaves(&paper.blas_nodes).count(), 10_000);
+    }
 }

@@ -115,6 +115,22 @@ pub(crate) fn count_any(scene: &KernelScene<'_>, ray: &Ray, ray_mask: u32) -> Co
     }
 }
 
+/// What [`transmittance`] costs, [layered](is_layered) instances left out.
+pub(crate) fn count_transmittance(scene: &KernelScene<'_>, ray: &Ray, ray_mask: u32) -> Counts {
+    match scene.layout {
+        Layout::Rope => {
+            let mut walk = Rope::<Counts>::new(scene, ray, ray_mask);
+            light_through(scene, &mut walk, ray);
+            walk.counter
+        }
+        Layout::Wide => {
+            let mut walk = Wide::<Counts>::new(scene, ray, ray_mask, false);
+            light_through(scene, &mut walk, ray);
+            walk.counter
+        }
+    }
+}
+
 #[inline]
 fn closest(scene: &KernelScene<'_>, walk: &mut impl Walk, ray: &Ray) -> Hit {
     let mut hit = Hit { t: ray.t_max, ..Hit::MISS };
@@ -167,11 +183,12 @@ fn light_through(scene: &KernelScene<'_>, walk: &mut impl Walk, ray: &Ray) -> (V
     let mut light = Vec3::ONE;
     let mut has_layers = false;
     while let Some(leaf) = walk.next_leaf(scene, ray.t_max) {
-        let place = walk.place();
-        if is_layered(place.flags) {
+        if is_layered(walk.place().flags) {
             has_layers = true;
             continue;
         }
+        walk.count_triangles(leaf.count());
+        let place = walk.place();
         let first = (place.first_triangle + leaf.first()) as usize;
         for triangle in &scene.triangles[first..][..leaf.count() as usize] {
             let Some(crossing) = cross_triangle(&place.shear, triangle) else { continue };

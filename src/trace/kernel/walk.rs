@@ -82,7 +82,7 @@ pub(super) fn first_of(tlas_nodes: &[Node]) -> u32 {
 }
 
 /// Keeps count of what is read, or, as `()`, does not.
-pub(super) trait Counter: Default {
+pub(crate) trait Counter: Default {
     /// An element was read.
     fn read<T>(&mut self, _: &T) {}
     /// Boxes were tested.

@@ -6,25 +6,72 @@ use std::time::Duration;
 use bytemuck::Pod;
 use ropewalk::device::DeviceArrays;
 use ropewalk::device::layout::{Hit, NONE, Ray};
-use ropewalk::trace::gpu::{GpuOptions, GpuTracer, RayBuffers};
+use ropewalk::trace::gpu::{Adapters, GpuOptions, GpuTracer, RayBuffers};
 use ropewalk::trace::{Layout, Tracer as _};
-use ropewalk_bench::rays::{RayKind, any_answer, closest_answer};
-use ropewalk_bench::runner::Runner;
-use ropewalk_bench::{Result, time};
-use wgpu::{BufferUsages, ComputePassDescriptor, ComputePassTimestampWrites};
+use serde_json::{Value, json};
+use wgpu::{BufferUsages, ComputePassDescriptor, ComputePassTimestampWrites, DeviceType};
+
+use crate::rays::{RayKind, any_answer, closest_answer};
+use crate::runner::Runner;
+use crate::{Options, Result, time};
+
+/// The best GPU there is. A software renderer only where the options ask for it.
+///
+/// # Errors
+/// There is none.
+pub fn open(options: &Options) -> Result<GpuTracer> {
+    Ok(open_among(if options.software { Adapters::Any } else { Adapters::Hardware })?)
+}
+
+fn open_among(adapters: Adapters) -> ropewalk::Result<GpuTracer> {
+    GpuTracer::new(&GpuOptions { adapters, ..GpuOptions::default() })
+}
+
+/// What tables call its executor: "gpu", or "software renderer".
+pub fn label(tracer: &GpuTracer) -> &'static str {
+    if is_software(tracer) { "software renderer" } else { "gpu" }
+}
+
+fn is_software(tracer: &GpuTracer) -> bool {
+    tracer.wgpu_device().adapter_info().device_type == DeviceType::Cpu
+}
+
+/// Name, driver, interface and features of the best adapter, be it a GPU or not; else why there is none.
+pub(crate) fn adapter() -> Value {
+    let tracer = match open_among(Adapters::Any) {
+        Ok(tracer) => tracer,
+        Err(error) => return json!({ "error": error.to_string() }),
+    };
+    let info = tracer.wgpu_device().adapter_info();
+    let features: Vec<_> = tracer.wgpu_device().features().iter_names().map(|(name, _)| name).collect();
+    json!({
+        "name": info.name,
+        "type": format!("{:?}", info.device_type),
+        "software": is_software(&tracer),
+        "backend": info.backend.to_str(),
+        "driver": info.driver,
+        "driver_info": info.driver_info,
+        "features": features,
+    })
+}
 
 /// A GPU with a scene uploaded.
 pub struct Gpu(RefCell<GpuTracer>);
 
 impl Gpu {
-    /// Takes the best GPU there is, not a software renderer.
+    /// On the adapter that [`open`] takes.
     ///
     /// # Errors
     /// There is none, or the scene is too large for it.
-    pub fn open(arrays: &mut DeviceArrays, layout: Layout) -> Result<Self> {
-        let mut tracer = GpuTracer::new(&GpuOptions::default())?.with_layout(layout);
+    pub fn new(options: &Options, arrays: &mut DeviceArrays, layout: Layout) -> Result<Self> {
+        let mut tracer = open(options)?.with_layout(layout);
         tracer.upload(arrays)?;
         Ok(Self(RefCell::new(tracer)))
+    }
+
+    /// See [`label`].
+    pub fn label(&self) -> &'static str {
+        label(&self.0.borrow())
     }
 
     /// Its name and driver.

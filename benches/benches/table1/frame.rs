@@ -1,0 +1,175 @@
+//! Who traces a frame, and by whose clock.
+
+use std::time::Duration;
+
+use rayon::ThreadPool;
+use ropewalk::device::DeviceArrays;
+use ropewalk::trace::{Counts, Cpu, Emulated, FrameCounts, FrameRequest, Layout, Recursive, Tracer};
+#[cfg(feature = "gpu")]
+use ropewalk_bench::gpu;
+use ropewalk_bench::scenes::BenchScene;
+use ropewalk_bench::{Options, Result, time};
+
+use crate::PaperColumn;
+
+/// An executor of the table.
+pub struct Executor<'a> {
+    pub name: String,
+    pub paper_column: Option<PaperColumn>,
+    /// Whether it gets the paper's arrays instead of the shipped ones.
+    pub walks_paper: bool,
+    /// What it walks there, if the kernel can count that.
+    pub layout: Option<Layout>,
+    tracer: Box<dyn Tracer + Send>,
+    pool: &'a ThreadPool,
+    clock: Clock,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Clock {
+    /// Until the frame is traced.
+    Call,
+    /// The GPU's own.
+    #[cfg(feature = "gpu")]
+    Gpu,
+    /// Until the frame is in main memory.
+    #[cfg(feature = "gpu")]
+    ReadBack,
+}
+
+impl Clock {
+    /// The time of a frame whose call took so long.
+    #[cfg_attr(not(feature = "gpu"), expect(unused_variables, reason = "for the GPU"))]
+    fn read(self, call: Duration, tracer: &dyn Tracer) -> Option<Duration> {
+        match self {
+            Self::Call => Some(call),
+            #[cfg(feature = "gpu")]
+            Self::Gpu => tracer.trace_time(),
+            #[cfg(feature = "gpu")]
+            Self::ReadBack => {
+                let mut is_read = false;
+                let read = time(|| is_read = tracer.read().is_ok());
+                is_read.then_some(call + read)
+            }
+        }
+    }
+}
+
+impl Executor<'_> {
+    /// Traces the frame once. Without end if that fails.
+    pub fn trace(&mut self, arrays: &DeviceArrays, request: &FrameRequest) -> Duration {
+        let Self { tracer, pool, clock, .. } = self;
+        let traced = pool.install(|| {
+            let mut result = Ok(());
+            let call = time(|| result = tracer.render(arrays, request));
+            result.ok()?;
+            clock.read(call, &**tracer)
+        });
+        traced.unwrap_or(Duration::MAX)
+    }
+
+    /// The colours of the last frame.
+    pub fn image(&self) -> Result<Vec<[f32; 4]>> {
+        Ok(self.tracer.read()?.color)
+    }
+}
+
+/// What the frame costs each of them. The packets of `cpu` and recursion have no counts of a frame, but trace the same rays.
+pub fn counts<'a>(
+    executors: &[Executor<'_>],
+    request: &FrameRequest,
+    arrays: impl Fn(&Executor<'_>) -> &'a DeviceArrays,
+) -> Vec<FrameCounts> {
+    let walk = |executor: &Executor| Some((executor.layout?, executor.walks_paper));
+    let mut counted: Vec<((Layout, bool), FrameCounts)> = Vec::new();
+    for executor in executors {
+        let Some(walk) = walk(executor) else { continue };
+        if counted.iter().all(|(other, _)| *other != walk) {
+            counted.push((walk, Emulated::default().with_layout(walk.0).count_frame(arrays(executor), request)));
+        }
+    }
+    let rays = counted.first().map_or(FrameCounts::default(), |(_, counts)| *counts);
+    let rays = FrameCounts { work: Counts::default(), ..rays };
+    let of = |executor: &Executor| counted.iter().find(|(other, _)| Some(*other) == walk(executor));
+    executors.iter().map(|executor| of(executor).map_or(rays, |(_, counts)| *counts)).collect()
+}
+
+/// All of them, those of the paper first. Where there is no GPU, says so.
+pub fn executors<'a>(
+    scene: &mut BenchScene,
+    paper: &mut DeviceArrays,
+    #[cfg_attr(not(feature = "gpu"), expect(unused_variables, reason = "for the GPU"))] options: &Options,
+    [one, all]: &'a [ThreadPool; 2],
+) -> Result<Vec<Executor<'a>>> {
+    let new = |name: &str, tracer: Box<dyn Tracer + Send>, pool| Executor {
+        name: name.to_owned(),
+        paper_column: None,
+        walks_paper: false,
+        layout: None,
+        tracer,
+        pool,
+        clock: Clock::Call,
+    };
+    let emulated = |layout| Box::new(Emulated::default().with_layout(layout));
+    let mut executors = vec![
+        Executor {
+            paper_column: Some(PaperColumn::Recursive),
+            walks_paper: true,
+            ..new("recursive, paper's structure", Box::<Recursive>::default(), one)
+        },
+        Executor {
+            paper_column: Some(PaperColumn::Emulated),
+            walks_paper: true,
+            layout: Some(Layout::Rope),
+            ..new("emulated, paper's structure, rope", emulated(Layout::Rope), one)
+        },
+        Executor { layout: Some(Layout::Rope), ..new("emulated, rope", emulated(Layout::Rope), one) },
+        Executor { layout: Some(Layout::Wide), ..new("emulated, wide", emulated(Layout::Wide), one) },
+        new("cpu, 1 thread", Box::<Cpu>::default(), one),
+        new(&format!("cpu, {} threads", all.current_num_threads()), Box::<Cpu>::default(), all),
+    ];
+    for executor in &mut executors {
+        executor.tracer.upload(if executor.walks_paper { &mut *paper } else { scene.compiler.arrays_mut() })?;
+    }
+    #[cfg(feature = "gpu")]
+    match gpus(scene, paper, options, all) {
+        Ok(gpus) => executors.extend(gpus),
+        Err(error) => println!("{}: gpu: skipped: {error}", scene.name),
+    }
+    Ok(executors)
+}
+
+/// The GPU by each layout: the time that it says itself and, for the shipped one, until a user has the image.
+#[cfg(feature = "gpu")]
+fn gpus<'a>(
+    scene: &mut BenchScene,
+    paper: &mut DeviceArrays,
+    options: &Options,
+    pool: &'a ThreadPool,
+) -> Result<Vec<Executor<'a>>> {
+    let entries = [
+        (", paper's structure, rope", Layout::Rope, true, Clock::Gpu),
+        (", wide", Layout::Wide, false, Clock::Gpu),
+        (", wide, until read back", Layout::Wide, false, Clock::ReadBack),
+    ];
+    let mut executors = Vec::new();
+    for (how, layout, walks_paper, clock) in entries {
+        let mut tracer = gpu::open(options)?.with_layout(layout);
+        tracer.upload(if walks_paper { &mut *paper } else { scene.compiler.arrays_mut() })?;
+        let features = tracer.wgpu_device().features();
+        if clock == Clock::Gpu && !features.contains(wgpu::Features::TIMESTAMP_QUERY) {
+            println!("{}: {}{how}: skipped: it has no clock", scene.name, gpu::label(&tracer));
+            continue;
+        }
+        executors.push(Executor {
+            name: format!("{}{how}", gpu::label(&tracer)),
+            paper_column: (gpu::label(&tracer) == "gpu").then_some(PaperColumn::Gpu),
+            walks_paper,
+            layout: Some(layout),
+            tracer: Box::new(tracer),
+            pool,
+            clock,
+        });
+    }
+    Ok(executors)
+}
