@@ -3,6 +3,7 @@
 const BOX_SLACK: f32 = 1.0 - 0x1p-18;
 const LEAST_SHARE: f32 = 0x1p-64;
 const LEAST_COMPONENT: f32 = 0x1p-120;
+const LARGE: f32 = 0x1p63;
 const CORNER_TOLERANCE: f32 = 0x1p-22;
 const EDGE_TOLERANCE: f32 = 0x1p-21;
 
@@ -170,7 +171,7 @@ fn plane_distance(ray: ShearRay, triangle: Triangle, t: vec3<f32>, weights: vec3
     let height = dot3(normal, corner);
     let slope = dot3(normal, ray.direction);
     // The quotient would not be a number.
-    if abs(slope) <= abs(height) * F32_MIN_NORMAL {
+    if abs(slope) * LARGE <= abs(height) / LARGE {
         return corner_t;
     }
     return height / slope;

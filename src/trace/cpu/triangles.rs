@@ -5,7 +5,7 @@ use fearless_simd::{Simd, f32x4, f32x16};
 
 use super::lanes::{abs, each, greatest, least};
 use crate::device::layout::Triangle;
-use crate::trace::kernel::{CORNER_TOLERANCE, EDGE_TOLERANCE};
+use crate::trace::kernel::{CORNER_TOLERANCE, EDGE_TOLERANCE, LARGE};
 
 /// Lane by lane a ray and a triangle: where they cross.
 pub(super) struct Crossings<V> {
@@ -159,7 +159,7 @@ pub(super) fn plane_distances<S: Simd, V: SimdFloat<S, Element = f32>>(
     );
     let height = dot(normal, corner);
     let slope = dot(normal, lanes.direction);
-    let without_quotient = slope.abs().simd_le(height.abs() * f32::MIN_POSITIVE);
+    let without_quotient = (slope.abs() * LARGE).simd_le(height.abs() * (1.0 / LARGE));
     without_quotient.select(is_first.select(t[0], is_second.select(t[1], t[2])), height / slope)
 }
 

@@ -43,6 +43,8 @@ pub(crate) const BOX_SLACK: f32 = 1.0 - 1.0 / (1 << 18) as f32;
 /// See point 4: 2^-64 of the longest component, and at least 2^-120, whose reciprocal is finite.
 pub(crate) const LEAST_SHARE: f32 = 1.0 / (1_u128 << 64) as f32;
 pub(crate) const LEAST_COMPONENT: f32 = 1.0 / (1_u128 << 120) as f32;
+/// The square root of the greatest quotient that counts as a number.
+pub(crate) const LARGE: f32 = (1_u64 << 63) as f32;
 /// See point 2.
 pub(crate) const CORNER_TOLERANCE: f32 = 1.0 / (1 << 22) as f32;
 /// See point 2.
@@ -221,8 +223,8 @@ pub(crate) fn plane_distance(ray: &ShearRay, triangle: &Triangle, t: Vec3, weigh
         (v2 - ray.origin, t.z)
     };
     let (height, slope) = (dot3(normal, corner), dot3(normal, ray.direction));
-    // The quotient would not be a number.
-    if slope.abs() <= height.abs() * f32::MIN_POSITIVE {
+    // The quotient would not be a number. Neither factor makes subnormal numbers, which cost some processors a hundred times as much.
+    if slope.abs() * LARGE <= height.abs() / LARGE {
         return corner_t;
     }
     height / slope

@@ -18,8 +18,8 @@ mod wide;
 
 pub(crate) use camera::camera_ray;
 pub(crate) use intersect::{
-    BOX_SLACK, CORNER_TOLERANCE, EDGE_TOLERANCE, LEAST_COMPONENT, LEAST_SHARE, SlabRay, cross_triangle, max_component,
-    meets_box, shear_ray, slab_ray,
+    BOX_SLACK, CORNER_TOLERANCE, EDGE_TOLERANCE, LARGE, LEAST_COMPONENT, LEAST_SHARE, SlabRay, cross_triangle,
+    max_component, meets_box, shear_ray, slab_ray,
 };
 pub(crate) use material::is_hole;
 pub(crate) use traverse::{
