@@ -108,7 +108,7 @@ mod tests {
             F::FLAGS.iter().map(move |f| (format!("{prefix}_{}", f.name()), f.value().bits().to_string()))
         }
         let kernel = named! {
-            intersect { BOX_SLACK, LEAST_SHARE, LEAST_COMPONENT, CORNER_TOLERANCE, EDGE_TOLERANCE }
+            intersect { BOX_SLACK, LEAST_SHARE, LEAST_COMPONENT, LARGE, CORNER_TOLERANCE, EDGE_TOLERANCE }
             texture { SRGB_STRAIGHT_END, SRGB_STRAIGHT_SLOPE, SRGB_SCALE, SRGB_OFFSET }
             texture { SRGB_FIT_6, SRGB_FIT_5, SRGB_FIT_4, SRGB_FIT_3, SRGB_FIT_2, SRGB_FIT_1, SRGB_FIT_0 }
             surface { GRAZING }
