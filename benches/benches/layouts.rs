@@ -9,7 +9,7 @@ use clap::Parser;
 use ropewalk_bench::layouts::{Layout, LayoutScene, paper_arrays};
 use ropewalk_bench::rays::{Differences, RayKind, RaySets, true_answers};
 use ropewalk_bench::scenes::{BenchScene, ImageSize, SCENES};
-use ropewalk_bench::{Options, Report, Result};
+use ropewalk_bench::{Options, Report, Result, finish};
 
 const QUICK_NAMES: [&str; 3] = ["sphere", "bunny", "sponza"];
 /// With `--quick`, one ray of so many, in runs of a whole lockstep group.
@@ -30,13 +30,7 @@ struct Arguments {
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    match count_all(&arguments) {
-        Ok(report) => report.finish(&arguments.options),
-        Err(error) => {
-            eprintln!("{error}");
-            ExitCode::FAILURE
-        }
-    }
+    finish(count_all(&arguments), &arguments.options)
 }
 
 fn count_all(arguments: &Arguments) -> Result<Report> {

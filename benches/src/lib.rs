@@ -3,6 +3,7 @@
 //! A figure is a median of several samples, and what counts is the ratio of two figures of one run: everything that is
 //! compared runs in turns, so that whatever else the machine does hits all of them alike.
 
+pub mod bvh_shape;
 pub mod embree;
 #[cfg(feature = "gpu")]
 pub mod gpu;
@@ -19,6 +20,7 @@ use std::time::{Duration, Instant};
 use clap::Parser;
 use comfy_table::Table;
 use comfy_table::presets::ASCII_MARKDOWN;
+use rayon::{ThreadPool, ThreadPoolBuilder};
 use serde_json::{Value, json};
 
 /// What went wrong, in words.
@@ -46,6 +48,22 @@ pub struct Options {
     /// Given by `cargo bench`, without meaning here.
     #[arg(long, hide = true)]
     bench: bool,
+}
+
+/// Ends a benchmark: prints its report, or on standard error why there is none.
+pub fn finish(measured: Result<Report>, options: &Options) -> ExitCode {
+    match measured {
+        Ok(report) => report.finish(options),
+        Err(error) => {
+            eprintln!("{error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// That many threads for an executor.
+pub fn thread_pool(threads: usize) -> Result<ThreadPool> {
+    Ok(ThreadPoolBuilder::new().num_threads(threads).build()?)
 }
 
 /// A thing to measure: prepares what it needs, and returns how long the rest took.

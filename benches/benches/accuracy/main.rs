@@ -15,7 +15,7 @@ use ropewalk::device::layout::{Hit, NONE, Ray};
 use ropewalk::trace::{Cpu, Tracer as _};
 use ropewalk_bench::rays::{RayKind, RaySets, meet};
 use ropewalk_bench::scenes::{ImageSize, SCENES};
-use ropewalk_bench::{Options, Report, Result, Target};
+use ropewalk_bench::{Options, Report, Result, Target, finish};
 
 const NAMES: [&str; 4] = ["bunny", "dragon", "sponza", "kitchen"];
 const QUICK_NAMES: [&str; 2] = ["bunny", "sponza"];
@@ -28,13 +28,7 @@ const MOST_FAR_OFF: f64 = 10.0;
 
 fn main() -> ExitCode {
     let options = Options::parse();
-    match measure_all(&options) {
-        Ok(report) => report.finish(&options),
-        Err(error) => {
-            eprintln!("{error}");
-            ExitCode::FAILURE
-        }
-    }
+    finish(measure_all(&options), &options)
 }
 
 /// What was found along some rays.

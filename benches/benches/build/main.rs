@@ -13,7 +13,6 @@ use std::time::Duration;
 
 use clap::Parser as _;
 use glam::Vec3;
-use rayon::ThreadPoolBuilder;
 use ropewalk::accel::{Blas, BuildParams};
 use ropewalk::trace::Cpu;
 use ropewalk::{Geometry, Quality, Structure};
@@ -21,7 +20,7 @@ use ropewalk_bench::embree::{self, Batch as _, Closest1, Embree};
 use ropewalk_bench::rays::{RayKind, RaySets};
 use ropewalk_bench::runner::{Runner as _, Traced};
 use ropewalk_bench::scenes::{BenchScene, ImageSize, Recipe, SCENES};
-use ropewalk_bench::{Contender, Options, Report, Result, Target, medians, milliseconds, time};
+use ropewalk_bench::{Contender, Options, Report, Result, Target, finish, medians, milliseconds, thread_pool, time};
 
 use peers::Peer;
 
@@ -43,13 +42,7 @@ const EMBREE: [(&str, embree::Quality); 3] = [
 
 fn main() -> ExitCode {
     let options = Options::parse();
-    match measure_all(&options) {
-        Ok(report) => report.finish(&options),
-        Err(error) => {
-            eprintln!("{error}");
-            ExitCode::FAILURE
-        }
-    }
+    finish(measure_all(&options), &options)
 }
 
 fn measure_all(options: &Options) -> Result<Report> {
@@ -147,7 +140,7 @@ fn rates(recipe: &Recipe, triangles: &[[Vec3; 3]], embree: &Embree, samples: usi
     let scene = recipe.load(ImageSize::Paper)?;
     let sets = RaySets::new(&scene)?;
     let rays = sets.of(RayKind::Diffuse);
-    let pool = ThreadPoolBuilder::new().num_threads(1).build()?;
+    let pool = thread_pool(1)?;
     let scenes: Vec<BenchScene> =
         OURS.into_iter().map(|(_, structure)| with_structure(recipe, structure)).collect::<Result<_>>()?;
     let theirs: Vec<embree::Scene<'_>> =

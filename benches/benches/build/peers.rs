@@ -10,6 +10,7 @@ use obvhs::bvh2::Bvh2;
 use obvhs::bvh2::builder::build_bvh2_from_tris;
 use obvhs::rt_triangle::RtTriangle;
 use parry3d::shape::TriMesh;
+use ropewalk_bench::bvh_shape::Shape;
 use ropewalk_bench::time;
 
 use crate::cost::{CostNode, half_area, sah_cost};
@@ -88,30 +89,7 @@ fn of_obvhs(triangles: &[[Vec3; 3]]) -> Vec<obvhs::triangle::Triangle> {
 }
 
 fn of_bvh(triangles: &[[Vec3; 3]]) -> Vec<Shape> {
-    triangles.iter().map(|&corners| Shape { corners, node: 0 }).collect()
-}
-
-struct Shape {
-    corners: [Vec3; 3],
-    node: usize,
-}
-
-impl bvh::aabb::Bounded<f32, 3> for Shape {
-    fn aabb(&self) -> bvh::aabb::Aabb<f32, 3> {
-        let [a, b, c] = self.corners;
-        let point = |p: Vec3| Point3::new(p.x, p.y, p.z);
-        bvh::aabb::Aabb::with_bounds(point(a.min(b).min(c)), point(a.max(b).max(c)))
-    }
-}
-
-impl bvh::bounding_hierarchy::BHShape<f32, 3> for Shape {
-    fn set_bh_node_index(&mut self, node: usize) {
-        self.node = node;
-    }
-
-    fn bh_node_index(&self) -> usize {
-        self.node
-    }
+    triangles.iter().copied().map(Shape::new).collect()
 }
 
 impl Tree {

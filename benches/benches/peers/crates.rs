@@ -13,6 +13,7 @@ use parry3d::query::RayCast as _;
 use parry3d::shape::TriMesh;
 use ropewalk::device::layout::Ray;
 use ropewalk_bench::Result;
+use ropewalk_bench::bvh_shape::Shape;
 use ropewalk_bench::rays::{RayKind, any_answer, meet};
 use ropewalk_bench::runner::Runner;
 
@@ -72,35 +73,9 @@ pub struct Bvh {
     shapes: Vec<Shape>,
 }
 
-struct Shape {
-    corners: [Vec3; 3],
-    node: usize,
-}
-
-impl bvh::aabb::Bounded<f32, 3> for Shape {
-    fn aabb(&self) -> bvh::aabb::Aabb<f32, 3> {
-        let [a, b, c] = self.corners;
-        bvh::aabb::Aabb::with_bounds(point(a.min(b).min(c)), point(a.max(b).max(c)))
-    }
-}
-
-impl bvh::bounding_hierarchy::BHShape<f32, 3> for Shape {
-    fn set_bh_node_index(&mut self, node: usize) {
-        self.node = node;
-    }
-
-    fn bh_node_index(&self) -> usize {
-        self.node
-    }
-}
-
-fn point(p: Vec3) -> Point3<f32> {
-    Point3::new(p.x, p.y, p.z)
-}
-
 impl Bvh {
     pub fn build(triangles: &[[Vec3; 3]]) -> Self {
-        let mut shapes: Vec<Shape> = triangles.iter().map(|&corners| Shape { corners, node: 0 }).collect();
+        let mut shapes: Vec<Shape> = triangles.iter().copied().map(Shape::new).collect();
         Self { bvh: bvh::bvh::Bvh::build(&mut shapes), shapes }
     }
 

@@ -14,14 +14,14 @@ use std::process::ExitCode;
 
 use clap::Parser;
 use glam::Vec3;
-use rayon::{ThreadPool, ThreadPoolBuilder};
+use rayon::ThreadPool;
 use ropewalk::device::layout::Ray;
 use ropewalk::trace::Cpu;
 use ropewalk_bench::embree::Embree;
 use ropewalk_bench::rays::{Differences, RayKind, RaySets};
 use ropewalk_bench::runner::Traced;
 use ropewalk_bench::scenes::{BenchScene, ImageSize, Recipe, SCENES};
-use ropewalk_bench::{Contender, Options, Report, Result, Target, medians};
+use ropewalk_bench::{Contender, Options, Report, Result, Target, finish, medians, thread_pool};
 
 use crates::{Bvh, Obvhs, Parry};
 use embree::Embree4;
@@ -53,13 +53,7 @@ struct Arguments {
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    match measure_all(&arguments) {
-        Ok(report) => report.finish(&arguments.options),
-        Err(error) => {
-            eprintln!("{error}");
-            ExitCode::FAILURE
-        }
-    }
+    finish(measure_all(&arguments), &arguments.options)
 }
 
 fn measure_all(arguments: &Arguments) -> Result<Report> {
@@ -120,10 +114,6 @@ fn build_peers<'a>(embree: &'a Embree, triangles: &[[Vec3; 3]]) -> Result<Vec<Bo
         Box::new(Bvh::build(triangles)),
         Box::new(Parry::build(triangles)?),
     ])
-}
-
-fn thread_pool(threads: usize) -> Result<ThreadPool> {
-    Ok(ThreadPoolBuilder::new().num_threads(threads).build()?)
 }
 
 fn ours<'a>(scene: &'a BenchScene, rays: &'a [Ray], kind: RayKind, pools: &'a [ThreadPool; 2]) -> [Entry<'a>; 2] {

@@ -12,8 +12,8 @@ use std::process::ExitCode;
 
 use clap::Parser;
 use glam::DVec3;
+use rayon::ThreadPool;
 use rayon::prelude::*;
-use rayon::{ThreadPool, ThreadPoolBuilder};
 use ropewalk::device::DeviceArrays;
 use ropewalk::device::layout::{NONE, Ray};
 use ropewalk::trace::{Counts, Cpu, Emulated, Layout};
@@ -24,7 +24,7 @@ use ropewalk_bench::rays::{Differences, RayKind, RaySets, true_answers};
 use ropewalk_bench::runner::{Runner, Traced};
 use ropewalk_bench::scenes::{BenchScene, ImageSize};
 use ropewalk_bench::shapes::{add_copies, bumpy_sphere, geometry_core};
-use ropewalk_bench::{Contender, Options, Report, Result, medians, milliseconds, time};
+use ropewalk_bench::{Contender, Options, Report, Result, finish, medians, milliseconds, thread_pool, time};
 
 use fit::{Line, fit};
 
@@ -102,13 +102,7 @@ fn main() -> ExitCode {
         }
         Ok(report)
     });
-    match measured {
-        Ok(report) => report.finish(&arguments.options),
-        Err(error) => {
-            eprintln!("{error}");
-            ExitCode::FAILURE
-        }
-    }
+    finish(measured, &arguments.options)
 }
 
 fn measure_all(options: &Options) -> Result<(Report, Vec<Point>)> {
@@ -132,8 +126,7 @@ fn measure_all(options: &Options) -> Result<(Report, Vec<Point>)> {
     ];
     let mut report = Report::new(&columns);
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    let pool = |threads| ThreadPoolBuilder::new().num_threads(threads).build();
-    let pools = [pool(1)?, pool(threads)?];
+    let pools = [thread_pool(1)?, thread_pool(threads)?];
     let mut points = Vec::new();
     for (series, least, most) in if options.quick { QUICK_MOST } else { MOST } {
         for exponent in (least..=most).step_by(2) {

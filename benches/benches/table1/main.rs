@@ -13,12 +13,12 @@ use std::process::ExitCode;
 
 use clap::Parser;
 use glam::Vec3;
-use rayon::{ThreadPool, ThreadPoolBuilder};
+use rayon::ThreadPool;
 use ropewalk::trace::{FrameCounts, FrameRequest};
 use ropewalk::{Light, Material, Transform};
 use ropewalk_bench::layouts::paper_arrays;
 use ropewalk_bench::scenes::{BenchScene, ImageSize, Recipe, SCENES};
-use ropewalk_bench::{Contender, Options, Report, Result, medians};
+use ropewalk_bench::{Contender, Options, Report, Result, finish, medians, thread_pool};
 
 use claims::Walks;
 use frame::Executor;
@@ -56,13 +56,7 @@ struct Arguments {
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    match measure_all(&arguments.options) {
-        Ok(report) => report.finish(&arguments.options),
-        Err(error) => {
-            eprintln!("{error}");
-            ExitCode::FAILURE
-        }
-    }
+    finish(measure_all(&arguments.options), &arguments.options)
 }
 
 /// How a frame is taken.
@@ -130,8 +124,7 @@ fn measure_all(options: &Options) -> Result<Report> {
     ];
     let mut report = Report::new(&columns);
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    let pool = |threads| ThreadPoolBuilder::new().num_threads(threads).build();
-    let pools = [pool(1)?, pool(threads)?];
+    let pools = [thread_pool(1)?, thread_pool(threads)?];
     let (mut measured, mut walks) = (Vec::new(), Vec::new());
     for (name, _) in PAPER {
         let Some(recipe) = SCENES.iter().find(|recipe| recipe.name == name) else { continue };

@@ -8,8 +8,8 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::Parser;
+use rayon::ThreadPool;
 use rayon::prelude::*;
-use rayon::{ThreadPool, ThreadPoolBuilder};
 use ropewalk::device::DeviceArrays;
 use ropewalk::device::layout::{NONE, Ray};
 use ropewalk::trace::{Counts, Cpu, Emulated, Layout};
@@ -19,7 +19,7 @@ use ropewalk_bench::layouts::paper_arrays;
 use ropewalk_bench::rays::{Differences, RayKind, RaySets, true_answers};
 use ropewalk_bench::runner::{Runner, Traced};
 use ropewalk_bench::scenes::{BenchScene, ImageSize, SCENES};
-use ropewalk_bench::{Contender, Options, Report, Result, medians};
+use ropewalk_bench::{Contender, Options, Report, Result, finish, medians, thread_pool};
 
 /// What the kernel walks, and whether it is the paper's own arrays that it walks.
 const LAYOUTS: [(&str, Layout, bool); 3] = [
@@ -46,13 +46,7 @@ struct Arguments {
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    match measure_all(&arguments) {
-        Ok(report) => report.finish(&arguments.options),
-        Err(error) => {
-            eprintln!("{error}");
-            ExitCode::FAILURE
-        }
-    }
+    finish(measure_all(&arguments), &arguments.options)
 }
 
 fn measure_all(arguments: &Arguments) -> Result<Report> {
@@ -75,9 +69,7 @@ fn measure_all(arguments: &Arguments) -> Result<Report> {
     ];
     let mut report = Report::new(&columns);
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    let pools = [1, threads].map(|threads| ThreadPoolBuilder::new().num_threads(threads).build());
-    let [one, all] = pools;
-    let pools = [one?, all?];
+    let pools = [thread_pool(1)?, thread_pool(threads)?];
     for recipe in &SCENES {
         let is_named = arguments.scene.iter().any(|name| name == recipe.name);
         let is_default = !arguments.options.quick || QUICK_NAMES.contains(&recipe.name);
