@@ -6,7 +6,7 @@ use fearless_simd::{Simd, f32x16, mask32x16, u32x16};
 use super::lanes::{LANES, Numbers, lanes_of, load};
 use super::triangles::Crossings;
 use crate::device::layout::{Hit, Instance, InstanceFlags, NONE};
-use crate::trace::kernel::{KernelScene, is_hole};
+use crate::trace::kernel::{KernelScene, is_closer, is_hole};
 use crate::trace::queries::{Any, Closest, Query, stops};
 
 /// Where triangles are met.
@@ -20,6 +20,13 @@ pub(super) struct Place<'a> {
 /// The queries of sixteen rays.
 pub(super) trait Answers {
     type Query: Query;
+    /// What is said of a ray in the end.
+    type Hit;
+
+    /// Of rays that have met nothing and go that far.
+    fn new<S: Simd>(t_max: f32x16<S>) -> Self;
+
+    fn hits<S: Simd>(&self, simd: S) -> [Self::Hit; LANES];
 
     /// How far each ray goes.
     fn t_max(&self) -> &Numbers;
@@ -44,9 +51,18 @@ pub(super) struct ClosestHits {
     back: u64,
 }
 
-impl ClosestHits {
+#[inline(always)]
+fn interleaved<S: Simd>(v: [f32x16<S>; 8]) -> [f32x16<S>; 8] {
+    let (a, b, c, d) = (v[0].interleave(v[4]), v[1].interleave(v[5]), v[2].interleave(v[6]), v[3].interleave(v[7]));
+    [a.0, a.1, b.0, b.1, c.0, c.1, d.0, d.1]
+}
+
+impl Answers for ClosestHits {
+    type Query = Closest;
+    type Hit = Hit;
+
     #[inline(always)]
-    pub(super) fn new<S: Simd>(t_max: f32x16<S>) -> Self {
+    fn new<S: Simd>(t_max: f32x16<S>) -> Self {
         let Hit { u, v, instance, primitive, triangle, .. } = Hit::MISS;
         Self {
             t: t_max.into(),
@@ -60,7 +76,7 @@ impl ClosestHits {
     }
 
     #[inline(always)]
-    pub(super) fn hits<S: Simd>(&self, simd: S) -> [Hit; LANES] {
+    fn hits<S: Simd>(&self, simd: S) -> [Hit; LANES] {
         let bits = |v: [u32; LANES]| u32x16::simd_from(simd, v).bitcast::<f32x16<S>>();
         let is_miss = u32x16::simd_from(simd, self.instance).simd_eq(NONE);
         let back = mask32x16::from_bitmask(simd, self.back).select(u32x16::splat(simd, 1), u32x16::splat(simd, 0));
@@ -80,16 +96,6 @@ impl ClosestHits {
             [v[0].into(), v[1].into(), v[2].into(), v[3].into(), v[4].into(), v[5].into(), v[6].into(), v[7].into()];
         bytemuck::cast(words)
     }
-}
-
-#[inline(always)]
-fn interleaved<S: Simd>(v: [f32x16<S>; 8]) -> [f32x16<S>; 8] {
-    let (a, b, c, d) = (v[0].interleave(v[4]), v[1].interleave(v[5]), v[2].interleave(v[6]), v[3].interleave(v[7]));
-    [a.0, a.1, b.0, b.1, c.0, c.1, d.0, d.1]
-}
-
-impl Answers for ClosestHits {
-    type Query = Closest;
 
     #[inline(always)]
     fn t_max(&self) -> &Numbers {
@@ -139,7 +145,7 @@ impl Answers for ClosestHits {
         let t = load(simd, self.t);
         let ties = at.t.simd_eq(t).to_bitmask() & lanes;
         for lane in lanes_of(ties) {
-            let is_closer = (place.index, crossed.primitive) < (self.instance[lane], self.primitive[lane]);
+            let is_closer = is_closer(self.t[lane], place.index, crossed.primitive, &self.query(lane).0);
             lanes &= !(u64::from(!is_closer) << lane);
         }
         let is_closer = mask32x16::from_bitmask(simd, lanes);
@@ -164,24 +170,23 @@ pub(super) struct AnyHits {
     hit: u64,
 }
 
-impl AnyHits {
+impl Answers for AnyHits {
+    type Query = Any;
+    type Hit = bool;
+
     #[inline(always)]
-    pub(super) fn new<S: Simd>(t_max: f32x16<S>) -> Self {
+    fn new<S: Simd>(t_max: f32x16<S>) -> Self {
         Self { t_max: t_max.into(), hit: 0 }
     }
 
     #[inline(always)]
-    pub(super) fn hits(&self) -> [bool; LANES] {
+    fn hits<S: Simd>(&self, _: S) -> [bool; LANES] {
         let mut hits = [false; LANES];
         for (lane, hit) in hits.iter_mut().enumerate() {
             *hit = self.hit >> lane & 1 != 0;
         }
         hits
     }
-}
-
-impl Answers for AnyHits {
-    type Query = Any;
 
     #[inline(always)]
     fn t_max(&self) -> &Numbers {

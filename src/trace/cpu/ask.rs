@@ -2,14 +2,14 @@
 
 use fearless_simd::Simd;
 
-use super::answers::{Answers, AnyHits, ClosestHits, Place};
+use super::answers::{Answers, Place};
 use super::lanes::LANES;
 use super::local::{LocalPacket, Packet};
-use super::single::{Single, walk_singly};
+use super::single::{walk_single, walk_singly};
 use super::together::{self, Together, go_together};
 use super::top::{walk_top, walk_top_packet};
 use super::walk::{Stack, walk};
-use crate::device::layout::{Hit, Instance, Ray, WideNode};
+use crate::device::layout::{Instance, Ray, WideNode};
 use crate::trace::kernel::KernelScene;
 use crate::trace::queries::Query;
 
@@ -20,39 +20,21 @@ pub(super) struct Memory {
     packets: together::Memory,
 }
 
-/// The closest hits of packet after packet.
+/// The answers of packet after packet.
 #[inline(always)]
-pub(super) fn closest_hits<S: Simd>(
+pub(super) fn ask_packets<S: Simd, A: Answers>(
     simd: S,
     scene: &KernelScene<'_>,
     memory: &mut Memory,
     rays: &[[Ray; LANES]],
     ray_mask: u32,
-    hits: &mut [[Hit; LANES]],
+    hits: &mut [[A::Hit; LANES]],
 ) {
     for (rays, hits) in rays.iter().zip(hits) {
         let packet = Packet::new(simd, rays);
-        let mut answers = ClosestHits::new(packet.t_max);
+        let mut answers = A::new(packet.t_max);
         ask(simd, scene, memory, &packet, ray_mask, &mut answers);
         *hits = answers.hits(simd);
-    }
-}
-
-/// Whether anything is hit, packet after packet.
-#[inline(always)]
-pub(super) fn any_hits<S: Simd>(
-    simd: S,
-    scene: &KernelScene<'_>,
-    memory: &mut Memory,
-    rays: &[[Ray; LANES]],
-    ray_mask: u32,
-    hits: &mut [[bool; LANES]],
-) {
-    for (rays, hits) in rays.iter().zip(hits) {
-        let packet = Packet::new(simd, rays);
-        let mut answers = AnyHits::new(packet.t_max);
-        ask(simd, scene, memory, &packet, ray_mask, &mut answers);
-        *hits = answers.hits();
     }
 }
 
@@ -110,7 +92,8 @@ pub(super) fn ask_one<S: Simd, Q: Query>(
             if instance.mask & ray_mask != 0 {
                 let nodes = nodes_of(scene, instance);
                 let rays = LocalPacket::new(simd, &packet, instance, &nodes[0]);
-                query = walk_single(simd, nodes, memory, &Place { scene, index, instance }, &rays, 0, query);
+                let place = Place { scene, index, instance };
+                query = walk_single(simd, nodes, &mut memory.packets.stack, &place, &rays, 0, query);
             }
             query.t_max()
         },
@@ -141,25 +124,4 @@ fn walk_together<S: Simd, A: Answers>(
             walk(simd, nodes, 0, rays.octant(0), &mut memory.stack, &mut walker);
         },
     );
-}
-
-/// One ray of a packet.
-#[inline(never)]
-fn walk_single<S: Simd, Q: Query>(
-    simd: S,
-    nodes: &[WideNode],
-    memory: &mut Memory,
-    place: &Place<'_>,
-    rays: &LocalPacket<S>,
-    lane: usize,
-    query: Q,
-) -> Q {
-    simd.vectorize(
-        #[inline(always)]
-        || {
-            let mut walker = Single::new(simd, place, rays, lane, query);
-            walk(simd, nodes, 0, rays.octant(lane), &mut memory.packets.stack, &mut walker);
-            walker.query
-        },
-    )
 }

@@ -2,12 +2,11 @@
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x16, u32x16};
-use glam::Vec3;
 
 use super::lanes::{LANES, Numbers, abs, each, greatest, load};
 use super::triangles::Shear;
 use crate::device::layout::{Instance, Ray, WideNode};
-use crate::trace::kernel::{LEAST_COMPONENT, LEAST_SHARE};
+use crate::trace::kernel::{BOX_SLACK, LEAST_COMPONENT, LEAST_SHARE, extent};
 
 /// Rays in world space.
 pub(super) struct Packet<S: Simd> {
@@ -58,6 +57,15 @@ pub(super) fn reciprocals<S: Simd>(simd: S, directions: [f32x16<S>; 3]) -> [f32x
             directions[axis].simd_lt(0.0).select(-reciprocal, reciprocal)
         },
     )
+}
+
+/// A bit for each ray that meets a box between `t_min` and `t_max`: by where it enters and leaves the slab of each axis.
+#[inline(always)]
+pub(super) fn meet_slabs<S: Simd>(t: [[f32x16<S>; 2]; 3], t_min: f32x16<S>, t_max: f32x16<S>) -> u64 {
+    let [[near_x, far_x], [near_y, far_y], [near_z, far_z]] = t;
+    let enters = near_x.max(near_y).max(near_z.max(t_min));
+    let leaves = far_x.min(far_y).min(far_z.min(t_max));
+    (enters * BOX_SLACK).simd_le(leaves).to_bitmask()
 }
 
 /// The rays of a packet in the space of an instance.
@@ -148,14 +156,6 @@ impl<S: Simd> LocalPacket<S> {
 /// For the axis along which a ray goes most, up or down it: the axes that become x, y and t. Left and right are swapped for a ray that
 /// looks down the axis, so that the winding stays.
 static AXES: [[[usize; 3]; 2]; 3] = [[[1, 2, 0], [2, 1, 0]], [[2, 0, 1], [0, 2, 1]], [[0, 1, 2], [1, 0, 2]]];
-
-/// The largest coordinate of a geometry.
-fn extent(root: &WideNode) -> f32 {
-    let step = |axis: usize| f32::from_bits(u32::from(root.exponents[axis]) << 23);
-    let least = Vec3::from_array(root.origin);
-    let greatest = least + Vec3::new(step(0), step(1), step(2)) * 255.0;
-    least.abs().max(greatest.abs()).max_element()
-}
 
 /// As [the kernel's](crate::trace::kernel::reciprocal_power_of_two).
 #[inline(always)]

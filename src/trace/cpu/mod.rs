@@ -1,7 +1,10 @@
 //! The `cpu` executor: the kernel on all cores, a tile of pixels at a time.
 
-// What is passed by its name is called; a closure marked so is not. A call takes the lanes through memory.
-#![allow(clippy::redundant_closure, clippy::redundant_closure_for_method_calls)]
+#![allow(
+    clippy::redundant_closure,
+    clippy::redundant_closure_for_method_calls,
+    reason = "what is passed by its name is called, a closure marked so is not, and a call takes the lanes through memory"
+)]
 
 mod answers;
 mod ask;

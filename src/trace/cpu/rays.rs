@@ -3,7 +3,8 @@
 use fearless_simd::{Level, Simd};
 use glam::Vec3;
 
-use super::ask::{Memory, any_hits, ask_one, closest_hits};
+use super::answers::{AnyHits, ClosestHits};
+use super::ask::{Memory, ask_one, ask_packets};
 use super::lanes::LANES;
 use crate::device::layout::{Hit, Ray};
 use crate::trace::Layout;
@@ -69,7 +70,7 @@ impl<'a> Rays<'a> {
                 rays,
                 hits,
                 Hit::MISS,
-                |rays, hits| with_lanes!(level, simd => closest_hits(simd, scene, memory, rays, ray_mask, hits)),
+                |rays, hits| with_lanes!(level, simd => ask_packets::<_, ClosestHits>(simd, scene, memory, rays, ray_mask, hits)),
             ),
             None => hits.iter_mut().zip(rays).for_each(|(hit, ray)| *hit = closest_hit(scene, ray, ray_mask)),
         }
@@ -83,7 +84,7 @@ impl<'a> Rays<'a> {
                 rays,
                 hits,
                 false,
-                |rays, hits| with_lanes!(level, simd => any_hits(simd, scene, memory, rays, ray_mask, hits)),
+                |rays, hits| with_lanes!(level, simd => ask_packets::<_, AnyHits>(simd, scene, memory, rays, ray_mask, hits)),
             ),
             None => hits.iter_mut().zip(rays).for_each(|(hit, ray)| *hit = any_hit(scene, ray, ray_mask)),
         }

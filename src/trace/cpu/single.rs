@@ -30,21 +30,53 @@ pub(super) fn walk_singly<S: Simd, A: Answers>(
         #[inline(always)]
         || {
             for lane in lanes_of(lanes) {
-                let mut walker = Single::new(simd, place, rays, lane, answers.query(lane));
-                walk(simd, nodes, root, rays.octant(lane), stack, &mut walker);
-                answers.set_query(lane, walker.query);
+                answers.set_query(lane, walk_lane(simd, nodes, root, stack, place, rays, lane, answers.query(lane)));
             }
         },
     );
 }
 
+/// One ray of a packet. A function of its own: it needs all registers.
+#[inline(never)]
+pub(super) fn walk_single<S: Simd, Q: Query>(
+    simd: S,
+    nodes: &[WideNode],
+    stack: &mut Stack,
+    place: &Place<'_>,
+    rays: &LocalPacket<S>,
+    lane: usize,
+    query: Q,
+) -> Q {
+    simd.vectorize(
+        #[inline(always)]
+        || walk_lane(simd, nodes, 0, stack, place, rays, lane, query),
+    )
+}
+
+#[expect(clippy::too_many_arguments, reason = "a part of two functions")]
+#[inline(always)]
+fn walk_lane<S: Simd, Q: Query>(
+    simd: S,
+    nodes: &[WideNode],
+    root: u32,
+    stack: &mut Stack,
+    place: &Place<'_>,
+    rays: &LocalPacket<S>,
+    lane: usize,
+    query: Q,
+) -> Q {
+    let mut walker = Single::new(simd, place, rays, lane, query);
+    walk(simd, nodes, root, rays.octant(lane), stack, &mut walker);
+    walker.query
+}
+
 /// One ray that asks a query.
-pub(super) struct Single<'a, S: Simd, Q> {
+struct Single<'a, S: Simd, Q> {
     simd: S,
     place: &'a Place<'a>,
     /// Of the geometry, and what follows them.
     triangles: &'a [Triangle],
-    pub(super) query: Q,
+    query: Q,
     origin: [f32x16<S>; 3],
     /// For near planes in the lower lanes, times the slack of boxes; for far planes in the upper ones, negated.
     scales: [f32x16<S>; 3],
@@ -61,7 +93,7 @@ pub(super) struct Single<'a, S: Simd, Q> {
 
 impl<'a, S: Simd, Q: Query> Single<'a, S, Q> {
     #[inline(always)]
-    pub(super) fn new(simd: S, place: &'a Place<'a>, rays: &LocalPacket<S>, lane: usize, query: Q) -> Self {
+    fn new(simd: S, place: &'a Place<'a>, rays: &LocalPacket<S>, lane: usize, query: Q) -> Self {
         let of_lane = |v: &f32x16<S>| f32x16::splat(simd, v.as_array()[lane]);
         let origin = [of_lane(&rays.origins[0]), of_lane(&rays.origins[1]), of_lane(&rays.origins[2])];
         let signs = f32x8::splat(simd, BOX_SLACK).combine(f32x8::splat(simd, -1.0));

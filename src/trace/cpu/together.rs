@@ -9,7 +9,7 @@ use fearless_simd::{Simd, f32x8, f32x16, u8x16};
 
 use super::answers::{Answers, Place};
 use super::lanes::{LANES, Numbers, each, greatest_of, least_of, load, near_first, planes, steps};
-use super::local::LocalPacket;
+use super::local::{LocalPacket, meet_slabs};
 use super::single::walk_singly;
 use super::triangles::{Unsheared, cross, plane_distances, splats};
 use super::walk::{DEPTH, Stack, Walker, met, range};
@@ -141,12 +141,10 @@ impl<'a, S: Simd, A: Answers> Together<'a, S, A> {
                 let offset = f32x16::splat(simd, node.origin[axis]) - self.rays.origins[axis];
                 let near = f32x16::splat(simd, planes[axis][slot & 7]) + offset;
                 let far = f32x16::splat(simd, planes[axis][8 + (slot & 7)]) + offset;
-                (near * self.rays.reciprocals[axis], far * self.rays.reciprocals[axis])
+                [near * self.rays.reciprocals[axis], far * self.rays.reciprocals[axis]]
             },
         );
-        let enters = t[0].0.max(t[1].0).max(t[2].0.max(self.rays.t_min));
-        let leaves = t[0].1.min(t[1].1).min(t[2].1.min(load(simd, *self.answers.t_max())));
-        (enters * BOX_SLACK).simd_le(leaves).to_bitmask()
+        meet_slabs(t, self.rays.t_min, load(simd, *self.answers.t_max()))
     }
 
     /// Answers have changed.

@@ -6,10 +6,10 @@ use glam::Vec3;
 
 use super::answers::Answers;
 use super::lanes::{Numbers, each, load};
-use super::local::{Packet, reciprocals};
+use super::local::{Packet, meet_slabs, reciprocals};
 use crate::accel::TopLevel;
 use crate::device::layout::{Node, PrimitiveRange, Ray};
-use crate::trace::kernel::{BOX_SLACK, KernelScene, meets_box, slab_ray};
+use crate::trace::kernel::{KernelScene, meets_box, slab_ray};
 
 /// Visits the instances whose boxes the ray meets no farther than `t_max`, which `visit` returns anew.
 #[inline(always)]
@@ -77,12 +77,10 @@ impl<S: Simd> Slabs<S> {
             |axis: usize| {
                 let a = (f32x16::splat(simd, node.min[axis]) - self.origins[axis]) * self.reciprocals[axis];
                 let b = (f32x16::splat(simd, node.max[axis]) - self.origins[axis]) * self.reciprocals[axis];
-                (a.min(b), a.max(b))
+                [a.min(b), a.max(b)]
             },
         );
-        let enters = t[0].0.max(t[1].0).max(t[2].0.max(self.t_min));
-        let leaves = t[0].1.min(t[1].1).min(t[2].1.min(load(simd, *t_max)));
-        (enters * BOX_SLACK).simd_le(leaves).to_bitmask()
+        meet_slabs(t, self.t_min, load(simd, *t_max))
     }
 }
 

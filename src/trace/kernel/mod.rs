@@ -23,13 +23,14 @@ pub(crate) use intersect::{
 };
 pub(crate) use material::is_hole;
 pub(crate) use traverse::{
-    Traverse, any_hit, closest_hit, count_any, count_closest, count_transmittance, is_layered, light_through_layers,
-    passes_at, take_closer, transmittance,
+    Traverse, any_hit, closest_hit, count_any, count_closest, count_transmittance, is_closer, is_layered,
+    light_through_layers, passes_at, take_closer, transmittance,
 };
 pub(crate) use walk::Counter;
 #[cfg(feature = "gpu")]
 pub(crate) use whitted::most_rays;
 pub(crate) use whitted::{MAX_DEPTH, Pixel, render_pixel};
+pub(crate) use wide::extent;
 
 use crate::device::DeviceArrays;
 use crate::device::layout::{Instance, Light, Material, Node, Streams, TextureInfo, Triangle, WideNode};

@@ -170,7 +170,7 @@ pub(crate) fn take_closer(scene: &KernelScene<'_>, hit: &mut Hit, crossed: Hit, 
     *hit = crossed;
 }
 
-fn is_closer(t: f32, instance: u32, primitive: u32, hit: &Hit) -> bool {
+pub(crate) fn is_closer(t: f32, instance: u32, primitive: u32, hit: &Hit) -> bool {
     if t != hit.t {
         return t < hit.t;
     }

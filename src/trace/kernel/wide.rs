@@ -186,10 +186,7 @@ impl<C: Counter> Wide<C> {
             u32::from(reciprocal.x < 0.0) | u32::from(reciprocal.y < 0.0) << 1 | u32::from(reciprocal.z < 0.0) << 2;
         self.top_count = self.count;
         let root = self.open_wide(scene, 0, t_max);
-        let least = Vec3::from_array(root.origin);
-        let greatest = least + steps(root) * 255.0;
-        let extent = max(max_component(least.abs()), max_component(greatest.abs()));
-        self.place.shear = shear_ray(origin, direction, max(extent, max_component(origin.abs())));
+        self.place.shear = shear_ray(origin, direction, max(extent(root), max_component(origin.abs())));
     }
 
     /// Visits a wide node: finds out which of its children are met.
@@ -271,6 +268,13 @@ impl<C: Counter> Walk for Wide<C> {
 /// A node of the top level as [`Wide::top`] has those that are met.
 fn top_of(index: u32, node: &Node) -> u32 {
     if node.primitives == PrimitiveRange::INNER { index } else { node.primitives.first() | TOP_LEAF }
+}
+
+/// The largest coordinate in a node's grid.
+pub(crate) fn extent(node: &WideNode) -> f32 {
+    let least = Vec3::from_array(node.origin);
+    let greatest = least + steps(node) * 255.0;
+    max(max_component(least.abs()), max_component(greatest.abs()))
 }
 
 /// The lengths of a node's steps.
