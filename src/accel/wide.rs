@@ -12,7 +12,9 @@
 //! plane is computed as `(plane * step + (origin - ray.origin)) * reciprocal`. `plane * step` is exact. With v = 2^-23, the
 //! relative error of an operation, the difference is at most v |origin - ray.origin| off. Now |origin - ray.origin| is at most
 //! the plane's distance and 255 steps: the first part is relative to the result, as are the roundings of the sum and the product, and
-//! [`BOX_SLACK`](crate::trace) allows for them; the second is less than 2^-15 steps, which the margin covers.
+//! [`BOX_SLACK`](crate::trace) allows for them; the second is less than 2^-15 steps, which the margin covers. Packets of rays that go
+//! anywhere compute it as `plane * (step * reciprocal) + (origin - ray.origin) * reciprocal`, fused: neither product has more than two
+//! roundings, and |plane * step| is at most 255 steps too, so that what is not relative to the result is less than 2^-13 steps.
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;

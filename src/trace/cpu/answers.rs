@@ -5,9 +5,9 @@ use fearless_simd::{Simd, f32x16, mask32x16, u32x16};
 
 use super::lanes::{LANES, Numbers, lanes_of, load};
 use super::triangles::Crossings;
-use crate::device::layout::{Hit, Instance, InstanceFlags, NONE};
+use crate::device::layout::{Hit, Instance, InstanceFlags, NONE, WideNode};
 use crate::trace::kernel::{KernelScene, is_closer, is_hole};
-use crate::trace::queries::{Any, Closest, Query, stops};
+use crate::trace::queries::{Any, Candidate, Closest, Query, stops};
 
 /// Where triangles are met.
 pub(super) struct Place<'a> {
@@ -15,6 +15,60 @@ pub(super) struct Place<'a> {
     /// The instance's index.
     pub(super) index: u32,
     pub(super) instance: &'a Instance,
+    /// The structure of its geometry, and what follows it.
+    pub(super) nodes: &'a [WideNode],
+}
+
+impl<'a> Place<'a> {
+    /// `None` where the instance is hidden by its mask.
+    #[inline(always)]
+    pub(super) fn of(scene: &'a KernelScene<'a>, index: u32, ray_mask: u32) -> Option<Self> {
+        let instance = &scene.instances[index as usize];
+        let first_node = scene.geometries[instance.geometry as usize].first_wide_node;
+        let nodes = &scene.wide_nodes[first_node as usize..];
+        (instance.mask & ray_mask != 0).then_some(Self { scene, index, instance, nodes })
+    }
+}
+
+/// What a ray wants to know.
+pub(super) trait Asks {
+    /// How far it goes.
+    fn t_max(&self) -> f32;
+
+    /// The ray crosses a triangle.
+    fn cross(&mut self, place: &Place<'_>, candidate: &Candidate);
+}
+
+impl<Q: Query> Asks for Q {
+    #[inline(always)]
+    fn t_max(&self) -> f32 {
+        Query::t_max(self)
+    }
+
+    #[inline(always)]
+    fn cross(&mut self, place: &Place<'_>, candidate: &Candidate) {
+        Query::cross(self, place.scene, place.index, place.instance, candidate);
+    }
+}
+
+/// One of sixteen.
+pub(super) struct Lane<'a, A> {
+    pub(super) answers: &'a mut A,
+    pub(super) lane: usize,
+}
+
+impl<A: Answers> Asks for Lane<'_, A> {
+    #[inline(always)]
+    fn t_max(&self) -> f32 {
+        self.answers.t_max()[self.lane]
+    }
+
+    #[inline(always)]
+    fn cross(&mut self, place: &Place<'_>, candidate: &Candidate) {
+        let mut query = self.answers.query(self.lane);
+        Asks::cross(&mut query, place, candidate);
+        self.answers.set_query(self.lane, query);
+    }
 }
 
 /// The queries of sixteen rays.

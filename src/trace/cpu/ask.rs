@@ -3,22 +3,15 @@
 use fearless_simd::Simd;
 
 use super::answers::{Answers, Place};
+use super::boxes::{Alike, Mixed, are_alike};
 use super::lanes::LANES;
 use super::local::{LocalPacket, Packet};
 use super::single::{walk_single, walk_singly};
-use super::together::{self, Together, go_together};
+use super::together::{FEW, Memory, walk_together};
 use super::top::{walk_top, walk_top_packet};
-use super::walk::{Stack, walk};
-use crate::device::layout::{Instance, Ray, WideNode};
+use crate::device::layout::Ray;
 use crate::trace::kernel::KernelScene;
 use crate::trace::queries::Query;
-
-/// What walks write to. Kept from ray to ray, so that nothing clears it.
-#[derive(Default)]
-pub(super) struct Memory {
-    stack: Stack,
-    packets: together::Memory,
-}
 
 /// The answers of packet after packet.
 #[inline(always)]
@@ -38,7 +31,7 @@ pub(super) fn ask_packets<S: Simd, A: Answers>(
     }
 }
 
-/// One by one where the rays do not go much the same way.
+/// One by one where only a few meet an instance.
 #[inline(always)]
 fn ask<S: Simd, A: Answers>(
     simd: S,
@@ -55,17 +48,14 @@ fn ask<S: Simd, A: Answers>(
         answers,
         #[inline(always)]
         |index, lanes, answers| {
-            let instance = &scene.instances[index as usize];
-            if instance.mask & ray_mask == 0 {
-                return;
-            }
-            let nodes = nodes_of(scene, instance);
-            let rays = LocalPacket::new(simd, packet, instance, &nodes[0]);
-            let place = Place { scene, index, instance };
-            if go_together(&rays) {
-                walk_together(simd, nodes, memory, &place, &rays, answers);
+            let Some(place) = Place::of(scene, index, ray_mask) else { return };
+            let rays = LocalPacket::new(simd, packet, place.instance, &place.nodes[0]);
+            if lanes.count_ones() <= FEW || !rays.is_finite {
+                walk_singly(simd, 0, &mut memory.single, &place, &rays, lanes, answers);
+            } else if are_alike(&rays) {
+                walk_together::<_, _, Alike<_>>(simd, memory, &place, &rays, lanes, answers);
             } else {
-                walk_singly(simd, nodes, 0, &mut memory.packets.stack, &place, &rays, lanes, answers);
+                walk_together::<_, _, Mixed<_>>(simd, memory, &place, &rays, lanes, answers);
             }
         },
     );
@@ -80,7 +70,7 @@ pub(super) fn ask_one<S: Simd, Q: Query>(
     ray: &Ray,
     ray_mask: u32,
 ) -> Q {
-    let packet = Packet::new(simd, &[*ray; LANES]);
+    let packet = Packet::of_one(simd, ray);
     let mut query = Q::start(ray.t_max);
     walk_top(
         scene,
@@ -88,40 +78,13 @@ pub(super) fn ask_one<S: Simd, Q: Query>(
         ray.t_max,
         #[inline(always)]
         |index| {
-            let instance = &scene.instances[index as usize];
-            if instance.mask & ray_mask != 0 {
-                let nodes = nodes_of(scene, instance);
-                let rays = LocalPacket::new(simd, &packet, instance, &nodes[0]);
-                let place = Place { scene, index, instance };
-                query = walk_single(simd, nodes, &mut memory.packets.stack, &place, &rays, 0, query);
+            if let Some(place) = Place::of(scene, index, ray_mask) {
+                let rays = LocalPacket::new(simd, &packet, place.instance, &place.nodes[0]);
+                walk_single(simd, &mut memory.single, &place, &rays, &mut query);
             }
             query.t_max()
         },
     );
     query.finish();
     query
-}
-
-/// The structure of an instance's geometry, and what follows it.
-fn nodes_of<'a>(scene: &KernelScene<'a>, instance: &Instance) -> &'a [WideNode] {
-    &scene.wide_nodes[scene.geometries[instance.geometry as usize].first_wide_node as usize..]
-}
-
-/// Rays that [`go_together`]. A function of its own: it needs all registers.
-#[inline(never)]
-fn walk_together<S: Simd, A: Answers>(
-    simd: S,
-    nodes: &[WideNode],
-    memory: &mut Memory,
-    place: &Place<'_>,
-    rays: &LocalPacket<S>,
-    answers: &mut A,
-) {
-    simd.vectorize(
-        #[inline(always)]
-        || {
-            let mut walker = Together::new(simd, place, rays, answers, nodes, &mut memory.packets);
-            walk(simd, nodes, 0, rays.octant(0), &mut memory.stack, &mut walker);
-        },
-    );
 }

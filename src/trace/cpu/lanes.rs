@@ -69,14 +69,22 @@ pub(super) fn lanes_of(mut mask: u64) -> impl Iterator<Item = usize> {
     )
 }
 
-/// The order of bytes that brings the near planes of a node's children into the lower lanes, the far ones into the upper.
+/// For each axis the order of bytes that brings the near planes of a node's children into the lower lanes, the far ones into the
+/// upper, for rays of that octant.
 #[inline(always)]
-pub(super) fn near_first<S: Simd>(simd: S, goes_down: bool) -> u8x16<S> {
-    static ORDERS: [[u8; 16]; 2] = [
-        [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15],
-        [8, 9, 10, 11, 12, 13, 14, 15, 0, 1, 2, 3, 4, 5, 6, 7],
-    ];
-    ORDERS[usize::from(goes_down)].simd_into(simd)
+pub(super) fn near_first<S: Simd>(simd: S, octant: usize) -> [u8x16<S>; 3] {
+    static ORDERS: [[[u8; 16]; 3]; 8] = {
+        let mut orders = [[[0; 16]; 3]; 8];
+        let mut i = 0;
+        while i < 8 * 3 * 16 {
+            let (octant, axis, byte) = (i / 48, i / 16 % 3, i % 16);
+            orders[octant][axis][byte] = if octant >> axis & 1 == 0 { byte as u8 } else { byte as u8 ^ 8 };
+            i += 1;
+        }
+        orders
+    };
+    let [x, y, z] = ORDERS[octant & 7];
+    [x.simd_into(simd), y.simd_into(simd), z.simd_into(simd)]
 }
 
 /// The planes of a node's children along an axis, in steps of its grid and in an order of [`near_first`].

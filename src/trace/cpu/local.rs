@@ -1,10 +1,10 @@
 //! Sixteen rays, a lane each: in world space, and in the space of an instance with all that boxes and triangles need.
 
 use fearless_simd::prelude::*;
-use fearless_simd::{Simd, f32x16, u32x16};
+use fearless_simd::{Simd, f32x16, mask32x16, u32x16};
 
 use super::lanes::{LANES, Numbers, abs, each, greatest, load};
-use super::triangles::Shear;
+use super::triangles::{Shear, splats};
 use crate::device::layout::{Instance, Ray, WideNode};
 use crate::trace::kernel::{BOX_SLACK, LEAST_COMPONENT, LEAST_SHARE, extent};
 
@@ -33,6 +33,18 @@ impl<S: Simd> Packet<S> {
         ];
         let v = deinterleaved(deinterleaved(deinterleaved(v)));
         Self { origins: [v[0], v[1], v[2]], t_min: v[3], directions: [v[4], v[5], v[6]], t_max: v[7] }
+    }
+
+    /// A ray in all lanes.
+    #[inline(always)]
+    pub(super) fn of_one(simd: S, ray: &Ray) -> Self {
+        let splat = |number: f32| f32x16::splat(simd, number);
+        Self {
+            origins: splats(simd, ray.origin),
+            directions: splats(simd, ray.direction),
+            t_min: splat(ray.t_min),
+            t_max: splat(ray.t_max),
+        }
     }
 }
 
@@ -68,24 +80,29 @@ pub(super) fn meet_slabs<S: Simd>(t: [[f32x16<S>; 2]; 3], t_min: f32x16<S>, t_ma
     (enters * BOX_SLACK).simd_le(leaves).to_bitmask()
 }
 
-/// The rays of a packet in the space of an instance.
-pub(super) struct LocalPacket<S: Simd> {
-    pub(super) origins: [f32x16<S>; 3],
-    pub(super) directions: [f32x16<S>; 3],
-    pub(super) reciprocals: [f32x16<S>; 3],
-    pub(super) t_min: f32x16<S>,
-    /// For each axis a bit for each ray that goes down it.
-    pub(super) down: [u64; 3],
-    /// A bit for each ray that goes most along x; one for each of the others that goes most along y.
-    pub(super) most: [u64; 2],
-    pub(super) shear: Shear<f32x16<S>>,
-    pub(super) depth_scale: f32x16<S>,
+/// The rays of a packet in the space of an instance, in memory: some are taken from it all at once, some one by one.
+#[repr(C, align(64))]
+pub(super) struct LocalPacket {
+    pub(super) origins: [Numbers; 3],
+    pub(super) directions: [Numbers; 3],
+    pub(super) reciprocals: [Numbers; 3],
+    pub(super) t_min: Numbers,
+    pub(super) shear: Shear<Numbers>,
+    /// The origins along the axes of the shear.
+    pub(super) from: [Numbers; 3],
+    pub(super) depth_scale: Numbers,
+    /// For each ray which of [`AXES`] are its shear's.
+    pub(super) axes: [u32; LANES],
+    /// For each ray bit 0 where it goes down x, bit 1 where down y, bit 2 where down z.
+    pub(super) octants: [u32; LANES],
+    /// Whether the products of reciprocals with whatever coordinates are numbers.
+    pub(super) is_finite: bool,
 }
 
-impl<S: Simd> LocalPacket<S> {
+impl LocalPacket {
     /// In the space of an instance whose geometry has that root.
     #[inline(always)]
-    pub(super) fn new(simd: S, packet: &Packet<S>, instance: &Instance, root: &WideNode) -> Self {
+    pub(super) fn new<S: Simd>(simd: S, packet: &Packet<S>, instance: &Instance, root: &WideNode) -> Self {
         let [o, d] = [packet.origins, packet.directions];
         let rows = &instance.local_from_world;
         let origins = each(
@@ -98,64 +115,54 @@ impl<S: Simd> LocalPacket<S> {
             #[inline(always)]
             |[x, y, z, _]| (d[0] * x + d[1] * y) + d[2] * z,
         );
-        let down = each(
-            directions,
-            #[inline(always)]
-            |d| d.simd_lt(0.0).to_bitmask(),
-        );
+        let bit = |is_set: mask32x16<S>, bit: u32| is_set.select(u32x16::splat(simd, bit), u32x16::splat(simd, 0));
+        let [x, y, z] = directions;
+        let octants = bit(x.simd_lt(0.0), 1) | bit(y.simd_lt(0.0), 2) | bit(z.simd_lt(0.0), 4);
 
         // As `shear_ray`.
         let [x, y, z] = abs(directions);
         let x_most = x.simd_ge(y) & x.simd_ge(z);
         let y_most = y.simd_ge(z);
-        let [x, y, z] = directions;
-        let depth = x_most.select(x, y_most.select(y, z));
-        let i = x_most.select(y, y_most.select(z, x));
-        let j = x_most.select(z, y_most.select(x, y));
-        let goes_down = depth.simd_lt(0.0);
-        let (i, j) = (goes_down.select(j, i), goes_down.select(i, j));
-        let extent = greatest(abs(origins)).max(f32x16::splat(simd, extent(root)));
-        let scale = reciprocal_power_of_two(simd, extent);
-        Self {
-            origins,
-            directions,
-            reciprocals: reciprocals(simd, directions),
-            t_min: packet.t_min,
-            down,
-            most: [x_most.to_bitmask(), y_most.to_bitmask() & !x_most.to_bitmask()],
-            shear: Shear {
-                minus_scale: -scale,
-                slopes: [-i / depth * scale, -j / depth * scale],
-                t_scale: f32x16::splat(simd, 1.0) / depth,
-            },
-            depth_scale: depth.abs() * scale,
-        }
-    }
-
-    /// The axes of one ray's [`Shear`], across and along.
-    #[inline(always)]
-    pub(super) fn axes(&self, lane: usize) -> [usize; 3] {
-        let depth = if self.most[0] >> lane & 1 != 0 {
-            0
-        } else if self.most[1] >> lane & 1 != 0 {
-            1
-        } else {
-            2
+        let goes_down = x_most.select(directions[0], y_most.select(directions[1], directions[2])).simd_lt(0.0);
+        let axes = x_most.select(u32x16::splat(simd, 0), y_most.select(u32x16::splat(simd, 2), u32x16::splat(simd, 4)));
+        let along = |[x, y, z]: [f32x16<S>; 3]| {
+            let depth = x_most.select(x, y_most.select(y, z));
+            let i = x_most.select(y, y_most.select(z, x));
+            let j = x_most.select(z, y_most.select(x, y));
+            [goes_down.select(j, i), goes_down.select(i, j), depth]
         };
-        AXES[depth][(self.down[depth] >> lane & 1) as usize]
-    }
-
-    /// Bit 0 where a ray goes down x, bit 1 where down y, bit 2 where down z.
-    #[inline(always)]
-    pub(super) fn octant(&self, lane: usize) -> usize {
-        let [x, y, z] = self.down;
-        (x >> lane & 1 | (y >> lane & 1) << 1 | (z >> lane & 1) << 2) as usize
+        let [i, j, depth] = along(directions);
+        let from = along(origins);
+        let extents = greatest(abs(origins)).max(f32x16::splat(simd, extent(root)));
+        let scale = reciprocal_power_of_two(simd, extents);
+        let reciprocals = reciprocals(simd, directions);
+        Self {
+            origins: stored(origins),
+            directions: stored(directions),
+            reciprocals: stored(reciprocals),
+            t_min: packet.t_min.into(),
+            shear: Shear {
+                minus_scale: (-scale).into(),
+                slopes: [(-i / depth * scale).into(), (-j / depth * scale).into()],
+                t_scale: (f32x16::splat(simd, 1.0) / depth).into(),
+            },
+            from: stored(from),
+            depth_scale: (depth.abs() * scale).into(),
+            axes: (axes + bit(goes_down, 1)).into(),
+            octants: octants.into(),
+            is_finite: (extents * 4.0 * greatest(abs(reciprocals))).simd_lt(f32::MAX).to_bitmask() == 0xffff,
+        }
     }
 }
 
-/// For the axis along which a ray goes most, up or down it: the axes that become x, y and t. Left and right are swapped for a ray that
-/// looks down the axis, so that the winding stays.
-static AXES: [[[usize; 3]; 2]; 3] = [[[1, 2, 0], [2, 1, 0]], [[2, 0, 1], [0, 2, 1]], [[0, 1, 2], [1, 0, 2]]];
+/// For rays that go most along x, up and down it, then along y, then along z: the axes that become x, y and t. Left and right are
+/// swapped for a ray that looks down the axis, so that the winding stays.
+pub(super) const AXES: [[usize; 3]; 6] = [[1, 2, 0], [2, 1, 0], [2, 0, 1], [0, 2, 1], [0, 1, 2], [1, 0, 2]];
+
+#[inline(always)]
+fn stored<S: Simd>(v: [f32x16<S>; 3]) -> [Numbers; 3] {
+    [v[0].into(), v[1].into(), v[2].into()]
+}
 
 /// As [the kernel's](crate::trace::kernel::reciprocal_power_of_two).
 #[inline(always)]

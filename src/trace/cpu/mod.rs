@@ -8,6 +8,7 @@
 
 mod answers;
 mod ask;
+mod boxes;
 mod lanes;
 mod local;
 mod rays;

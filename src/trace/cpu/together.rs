@@ -1,266 +1,163 @@
-//! Rays of a packet that go much the same way: interval arithmetic on all of them at once against eight boxes at once, single rays
-//! only against the boxes of leaves and against triangles.
-//!
-//! A product with a reciprocal, a sum, a difference: each is monotonic, rounded or not. So bounds computed from the least and greatest
-//! origins and reciprocals bound what is computed for each ray, exactly, and a box that any ray of the packet meets is met.
+//! Rays of a packet that visit the same nodes: one triangle after the other against all of them. Where only a few rays meet a node they go on
+//! one by one.
 
+use bytemuck::Zeroable;
+use fearless_simd::Simd;
 use fearless_simd::prelude::*;
-use fearless_simd::{Simd, f32x8, f32x16, u8x16};
 
 use super::answers::{Answers, Place};
-use super::lanes::{LANES, Numbers, each, greatest_of, least_of, load, near_first, planes, steps};
-use super::local::{LocalPacket, meet_slabs};
-use super::single::walk_singly;
-use super::triangles::{Unsheared, cross, plane_distances, splats};
-use super::walk::{DEPTH, Stack, Walker, met, range};
+use super::boxes::{self, Boxes};
+use super::lanes::{LANES, Numbers, each, load};
+use super::local::LocalPacket;
+use super::single::{self, cross_singly, walk_singly};
+use super::triangles::{Shear, Unsheared, cross, plane_distances, splats};
+use super::walk::{Stack, Walker, walk};
 use crate::device::layout::{PrimitiveRange, Triangle, WideNode};
-use crate::trace::kernel::BOX_SLACK;
 
-/// Nodes that rays visit together before it is asked which of them meet a node at all.
-const COHERENT: u32 = 12;
 /// As many rays as go on one by one.
-const FEW: u32 = 2;
+pub(super) const FEW: u32 = 2;
 
-/// What packets write to. Kept from packet to packet, so that nothing clears it.
-#[derive(Default)]
+/// What walks write to. Kept from ray to ray, so that nothing clears it.
+#[derive(Clone, Copy, Zeroable)]
 pub(super) struct Memory {
-    planes: Planes,
-    /// Of single rays.
-    pub(super) stack: Stack,
+    stack: Stack,
+    boxes: boxes::Memory,
+    pub(super) single: single::Memory,
 }
 
-/// Whether rays all go into one octant, and most along one axis.
+/// The rays of these lanes. A function of its own: it needs all registers.
+#[inline(never)]
+pub(super) fn walk_together<'a, S: Simd, A: Answers, B: Boxes<'a, S>>(
+    simd: S,
+    memory: &'a mut Memory,
+    place: &'a Place<'a>,
+    rays: &'a LocalPacket,
+    lanes: u64,
+    answers: &'a mut A,
+) {
+    simd.vectorize(
+        #[inline(always)]
+        || {
+            let Memory { stack, boxes, single } = memory;
+            let boxes = B::new(simd, rays, answers.t_max(), boxes);
+            let mut walker = Together { simd, place, rays, answers, boxes, single, lanes, visited: 0 };
+            walk(place.nodes, 0, octant(rays, lanes), stack, &mut walker);
+        },
+    );
+}
+
+/// Of the first ray: nodes are visited in its order.
 #[inline(always)]
-pub(super) fn go_together<S: Simd>(rays: &LocalPacket<S>) -> bool {
-    let agree = |lanes: u64| lanes == 0 || lanes == 0xffff;
-    let ([x, y, z], [most_x, most_y]) = (rays.down, rays.most);
-    agree(x) && agree(y) && agree(z) && agree(most_x) && agree(most_y)
+fn octant(rays: &LocalPacket, lanes: u64) -> usize {
+    rays.octants[lanes.trailing_zeros() as usize % LANES] as usize
 }
 
-/// Of the nodes that are being visited, for each axis the near planes of the children, then the far ones, from the origin of the grid.
-/// Kept from packet to packet, so that nothing clears it.
-struct Planes([[Numbers; 3]; DEPTH]);
-
-impl Default for Planes {
-    fn default() -> Self {
-        Self([[[0.0; LANES]; 3]; DEPTH])
-    }
-}
-
-/// All rays of a packet, that ask one kind of query.
-pub(super) struct Together<'a, S: Simd, A> {
+/// The rays of a packet, that ask one kind of query.
+struct Together<'a, S, A, B> {
     simd: S,
     place: &'a Place<'a>,
-    rays: &'a LocalPacket<S>,
+    rays: &'a LocalPacket,
     answers: &'a mut A,
-    memory: &'a mut Memory,
-    nodes: &'a [WideNode],
-    /// Inner nodes below the root visited so far.
+    boxes: B,
+    single: &'a mut single::Memory,
+    /// A bit for each ray that meets the node which is visited next.
+    lanes: u64,
+    /// Nodes visited so far.
     visited: u32,
-    /// The least and greatest origins, in the lower lanes those that make planes nearer, in the upper ones those that make them farther.
-    outer_origins: [f32x16<S>; 3],
-    /// The least reciprocals as near planes and far planes are multiplied by them, see [`super::single`]; then the greatest.
-    outer_scales: [[f32x16<S>; 3]; 2],
-    orders: [u8x16<S>; 3],
-    least_t_min: f32x8<S>,
-    t_max: f32x8<S>,
-    range: f32x16<S>,
-    axes: [usize; 3],
-    /// The origins along `axes`.
-    from: [f32x16<S>; 3],
 }
 
-impl<'a, S: Simd, A: Answers> Together<'a, S, A> {
-    /// Of rays that [`go_together`].
+impl<'a, S: Simd, A: Answers, B: Boxes<'a, S>> Together<'a, S, A, B> {
+    /// Tests one triangle.
     #[inline(always)]
-    pub(super) fn new(
-        simd: S,
-        place: &'a Place<'a>,
-        rays: &'a LocalPacket<S>,
-        answers: &'a mut A,
-        nodes: &'a [WideNode],
-        memory: &'a mut Memory,
-    ) -> Self {
-        let least_t_min = least_of(rays.t_min);
-        let t_max = greatest_of(load(simd, *answers.t_max()));
-        let axes = rays.axes(0);
-        Self {
-            simd,
-            place,
-            rays,
-            answers,
-            memory,
-            nodes,
-            visited: 0,
-            outer_origins: each(
-                [0, 1, 2],
-                #[inline(always)]
-                |axis: usize| {
-                    let (least, greatest) = (least_of(rays.origins[axis]), greatest_of(rays.origins[axis]));
-                    if rays.down[axis] == 0 { greatest.combine(least) } else { least.combine(greatest) }
-                },
-            ),
-            outer_scales: [
-                each(
-                    rays.reciprocals,
-                    #[inline(always)]
-                    |r| scales(least_of(r)),
-                ),
-                each(
-                    rays.reciprocals,
-                    #[inline(always)]
-                    |r| scales(greatest_of(r)),
-                ),
-            ],
-            orders: each(
-                rays.down,
-                #[inline(always)]
-                |down| near_first(simd, down != 0),
-            ),
-            least_t_min,
-            t_max,
-            range: range(least_t_min, t_max),
-            axes,
-            from: each(
-                axes,
-                #[inline(always)]
-                |axis: usize| rays.origins[axis.min(2)],
-            ),
-        }
-    }
-
-    /// The rays that meet the box in that slot.
-    #[inline(always)]
-    fn meet_lanes(&self, node: &WideNode, depth: usize, slot: usize) -> u64 {
-        let simd = self.simd;
-        let planes = &self.memory.planes.0[depth];
-        let t = each(
-            [0, 1, 2],
-            #[inline(always)]
-            |axis: usize| {
-                let offset = f32x16::splat(simd, node.origin[axis]) - self.rays.origins[axis];
-                let near = f32x16::splat(simd, planes[axis][slot & 7]) + offset;
-                let far = f32x16::splat(simd, planes[axis][8 + (slot & 7)]) + offset;
-                [near * self.rays.reciprocals[axis], far * self.rays.reciprocals[axis]]
-            },
-        );
-        meet_slabs(t, self.rays.t_min, load(simd, *self.answers.t_max()))
-    }
-
-    /// Answers have changed.
-    #[inline(always)]
-    fn shorten(&mut self) {
-        self.t_max = greatest_of(load(self.simd, *self.answers.t_max()));
-        self.range = range(self.least_t_min, self.t_max);
-    }
-
-    /// Tests one triangle; says whether it was met.
-    #[inline(always)]
-    fn cross(&mut self, lanes: u64, triangle: &Triangle, index: u32) -> bool {
-        let simd = self.simd;
-        let corners: &[[f32; 4]; 3] = bytemuck::cast_ref(triangle);
+    fn cross(&mut self, lanes: u64, triangle: &Triangle, index: u32) {
+        let (simd, rays) = (self.simd, self.rays);
+        let load = |numbers: &Numbers| load(simd, *numbers);
+        let shear = Shear {
+            minus_scale: load(&rays.shear.minus_scale),
+            slopes: [load(&rays.shear.slopes[0]), load(&rays.shear.slopes[1])],
+            t_scale: load(&rays.shear.t_scale),
+        };
         let [a, b, c] = each(
-            [0, 1, 2],
+            [triangle.v0, triangle.v1, triangle.v2],
             #[inline(always)]
-            |corner: usize| {
-                let along = |i: usize| f32x16::splat(simd, corners[corner][self.axes[i] & 3]);
-                let across = [self.from[0] - along(0), self.from[1] - along(1)];
-                self.rays.shear.see(across, along(2) - self.from[2])
+            |corner| {
+                let [x, y, t] = self.boxes.along_axes(corner);
+                shear.see([load(&rays.from[0]) - x, load(&rays.from[1]) - y], t - load(&rays.from[2]))
             },
         );
         let corners = [[a[0], b[0], c[0]], [a[1], b[1], c[1]], [a[2], b[2], c[2]]];
-        let rays = self.rays;
         let crossings = cross(
             simd,
             lanes,
             corners,
-            rays.depth_scale,
+            load(&rays.depth_scale),
             #[inline(always)]
             |t, w| {
                 let lanes = Unsheared {
-                    origin: rays.origins,
-                    direction: rays.directions,
+                    origin: [load(&rays.origins[0]), load(&rays.origins[1]), load(&rays.origins[2])],
+                    direction: [load(&rays.directions[0]), load(&rays.directions[1]), load(&rays.directions[2])],
                     corners: [splats(simd, triangle.v0), splats(simd, triangle.v1), splats(simd, triangle.v2)],
-                    scale: -rays.shear.minus_scale,
+                    scale: -shear.minus_scale,
                 };
                 plane_distances(&lanes, t, w)
             },
         );
-        let Some((mut crossed, crossings)) = crossings else { return false };
-        crossed &= crossings.t.simd_ge(self.rays.t_min).to_bitmask();
-        crossed &= crossings.t.simd_le(load(simd, *self.answers.t_max())).to_bitmask();
-        if crossed == 0 {
-            return false;
+        let Some((mut crossed, crossings)) = crossings else { return };
+        crossed &= crossings.t.simd_ge(load(&rays.t_min)).to_bitmask();
+        crossed &= crossings.t.simd_le(load(self.answers.t_max())).to_bitmask();
+        if crossed != 0 {
+            self.answers.accept(simd, self.place, index, crossed, &crossings);
+            self.boxes.shorten(self.answers.t_max());
         }
-        self.answers.accept(simd, self.place, index, crossed, &crossings);
-        true
     }
 }
 
-/// What near and far planes are multiplied by.
-#[inline(always)]
-fn scales<S: Simd>(reciprocals: f32x8<S>) -> f32x16<S> {
-    (reciprocals * BOX_SLACK).combine(-reciprocals)
-}
-
-impl<S: Simd, A: Answers> Walker<S> for Together<'_, S, A> {
+impl<'a, S: Simd, A: Answers, B: Boxes<'a, S>> Walker for Together<'a, S, A, B> {
     #[inline(always)]
-    fn meet(&mut self, node: &WideNode, depth: usize) -> (u32, f32x8<S>) {
-        let simd = self.simd;
-        let steps = steps(simd, node);
-        let [x, y, z] = each(
-            [0, 1, 2],
-            #[inline(always)]
-            |axis: usize| {
-                let planes = planes(simd, node, axis, self.orders[axis]) * steps[axis];
-                let from = planes - (self.outer_origins[axis] - f32x16::splat(simd, node.origin[axis]));
-                let t = (from * self.outer_scales[0][axis]).min(from * self.outer_scales[1][axis]);
-                (planes, t)
-            },
-        );
-        self.memory.planes.0[depth] = [x.0.into(), y.0.into(), z.0.into()];
-        met(simd, node, x.1.max(y.1).max(z.1.max(self.range)))
+    fn meet(&mut self, node: &WideNode, depth: usize) -> u32 {
+        self.visited += 1;
+        self.boxes.meet(node, depth, self.lanes, self.answers.t_max())
     }
 
-    /// The intervals of a packet that has visited many nodes may be so wide that no ray of it meets the child, or few do.
+    #[inline(always)]
+    fn still_meet(&self, slots: u32, depth: usize) -> u32 {
+        self.boxes.still_meet(slots, depth)
+    }
+
     #[inline(always)]
     fn inner(&mut self, node: &WideNode, depth: usize, slot: usize, child: u32) -> Option<bool> {
-        self.visited += 1;
-        if self.visited <= COHERENT {
+        if self.visited <= B::COHERENT {
             return None;
         }
-        let lanes = self.meet_lanes(node, depth, slot);
+        let lanes = self.boxes.lanes(node, depth, slot, self.answers.t_max());
         if lanes.count_ones() > FEW {
+            self.lanes = lanes;
             return None;
         }
         if lanes == 0 {
             return Some(false);
         }
-        walk_singly(self.simd, self.nodes, child, &mut self.memory.stack, self.place, self.rays, lanes, self.answers);
-        self.shorten();
+        walk_singly(self.simd, child, self.single, self.place, self.rays, lanes, self.answers);
+        self.boxes.shorten(self.answers.t_max());
         Some(true)
     }
 
     #[inline(always)]
     fn leaf(&mut self, node: &WideNode, depth: usize, slot: usize, triangles: PrimitiveRange) -> bool {
-        let lanes = self.meet_lanes(node, depth, slot);
+        let lanes = self.boxes.lanes(node, depth, slot, self.answers.t_max());
         if lanes == 0 {
             return false;
         }
+        if lanes.count_ones() <= FEW {
+            cross_singly(self.simd, self.place, self.rays, lanes, triangles, self.answers);
+            self.boxes.shorten(self.answers.t_max());
+            return true;
+        }
         let first = self.place.instance.first_triangle + triangles.first();
         let scene = self.place.scene;
-        let mut is_met = false;
         for (i, triangle) in (first..).zip(&scene.triangles[first as usize..][..triangles.count() as usize]) {
-            is_met |= self.cross(lanes, triangle, i);
+            self.cross(lanes, triangle, i);
         }
-        if is_met {
-            self.shorten();
-        }
-        is_met
-    }
-
-    #[inline(always)]
-    fn t_max(&self) -> f32x8<S> {
-        self.t_max
+        true
     }
 }

@@ -4,6 +4,7 @@ use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x4, f32x16};
 
 use super::lanes::{abs, each, greatest, least};
+use super::local::AXES;
 use crate::device::layout::Triangle;
 use crate::trace::kernel::{CORNER_TOLERANCE, EDGE_TOLERANCE, LARGE};
 
@@ -188,14 +189,12 @@ pub(super) fn by_corner<S: Simd>(v: f32x16<S>) -> [f32x4<S>; 3] {
     [a, b, c.split().0]
 }
 
-#[inline(always)]
-pub(super) fn lowest_four<S: Simd>(v: f32x16<S>) -> f32x4<S> {
-    v.split().0.split().0
-}
+/// The axes of a triangle as it is, for [`corners_of_four`].
+pub(super) const UNSHEARED: usize = 4;
 
-/// Coordinates of the corners of four triangles along three axes: four first corners, four second, four third, four of no meaning.
+/// Coordinates of the corners of four triangles along those [`AXES`]: four first corners, four second, four third, four of no meaning.
 #[inline(always)]
-pub(super) fn corners_of_four<S: Simd>(simd: S, triangles: &[Triangle; 4], axes: [usize; 3]) -> [f32x16<S>; 3] {
+pub(super) fn corners_of_four<S: Simd>(simd: S, triangles: &[Triangle; 4], axes: usize) -> [f32x16<S>; 3] {
     #[cfg(target_arch = "x86_64")]
     if let Some(avx512) = simd.level().as_avx512() {
         let [x, y, t] = x86::corners_avx512(avx512, bytemuck::cast_ref(triangles), axes);
@@ -203,10 +202,10 @@ pub(super) fn corners_of_four<S: Simd>(simd: S, triangles: &[Triangle; 4], axes:
     }
     let words: &[[f32; 12]; 4] = bytemuck::cast_ref(triangles);
     each(
-        axes,
+        AXES[axes % AXES.len()],
         #[inline(always)]
         |axis: usize| {
-            let [a, b, c] = [axis % 4, 4 + axis % 4, 8 + axis % 4];
+            let [a, b, c] = [axis, 4 + axis, 8 + axis];
             let [p, q, r, s] = words;
             [p[a], q[a], r[a], s[a], p[b], q[b], r[b], s[b], p[c], q[c], r[c], s[c], 0.0, 0.0, 0.0, 0.0].simd_into(simd)
         },
@@ -220,15 +219,18 @@ mod x86 {
     use fearless_simd::f32x16;
     use fearless_simd::prelude::*;
 
-    /// For each axis, and for what stands after z, where its lanes come from: of the first 32 of 48 words, then of those lanes and the last 16 words.
-    static SOURCES: [[[u32; 16]; 2]; 4] = {
-        let mut sources = [[[0; 16]; 2]; 4];
+    use super::AXES;
+
+    /// For each of [`AXES`] where lanes come from: of the first 32 of 48 words, then of those lanes and the last 16 words. The last two are
+    /// never used: eight are indexed with less ado.
+    static SOURCES: [[[[u32; 16]; 2]; 3]; 8] = {
+        let mut sources = [[[[0; 16]; 2]; 3]; 8];
         let mut i = 0;
-        while i < 4 * 16 {
-            let (axis, lane) = (i / 16, i % 16);
-            let word = lane % 4 * 12 + lane / 4 % 3 * 4 + axis;
-            sources[axis][0][lane] = word as u32 % 32;
-            sources[axis][1][lane] = if word < 32 { lane as u32 } else { word as u32 - 16 };
+        while i < AXES.len() * 3 * 16 {
+            let (axes, axis, lane) = (i / 48, i / 16 % 3, i % 16);
+            let word = lane % 4 * 12 + lane / 4 % 3 * 4 + AXES[axes][axis];
+            sources[axes][axis][0][lane] = word as u32 % 32;
+            sources[axes][axis][1][lane] = if word < 32 { lane as u32 } else { word as u32 - 16 };
             i += 1;
         }
         sources
@@ -236,17 +238,17 @@ mod x86 {
 
     fearless_simd::kernel!(
         #[inline(always)]
-        pub(super) fn corners_avx512(avx512: Avx512, words: &[[f32; 16]; 3], axes: [usize; 3]) -> [[f32; 16]; 3] {
+        pub(super) fn corners_avx512(avx512: Avx512, words: &[[f32; 16]; 3], axes: usize) -> [[f32; 16]; 3] {
             let load = |i: usize| -> __m512 { f32x16::simd_from(avx512, words[i]).into() };
             let [a, b, c] = [load(0), load(1), load(2)];
-            let along = |axis: usize| {
-                let [first, second] = &SOURCES[axis % 4];
+            let along = |[first, second]: &[[u32; 16]; 2]| {
                 let first = fearless_simd::u32x16::simd_from(avx512, *first).into();
                 let second = fearless_simd::u32x16::simd_from(avx512, *second).into();
                 let v = _mm512_permutex2var_ps(_mm512_permutex2var_ps(a, first, b), second, c);
                 f32x16::simd_from(avx512, v).into()
             };
-            [along(axes[0]), along(axes[1]), along(axes[2])]
+            let [x, y, t] = &SOURCES[axes % 8];
+            [along(x), along(y), along(t)]
         }
     );
 }
