@@ -2,7 +2,7 @@
 
 use bytemuck::Zeroable;
 use fearless_simd::prelude::*;
-use fearless_simd::{Simd, f32x8, f32x16, u8x16, u32x16};
+use fearless_simd::{Simd, f32x8, f32x16, u8x16, u16x8, u32x16};
 
 use super::lanes::{LANES, Numbers, children, each, greatest_of, least_of, load, near_first, planes, steps};
 use super::local::{AXES, LocalPacket, meet_slabs};
@@ -186,7 +186,7 @@ struct Children {
     /// Where each ray enters, rounded down.
     enters: [Numbers; 8],
     /// A bit for each ray that meets the child.
-    lanes: [u64; 8],
+    lanes: [u16; 8],
 }
 
 impl<'a, S: Simd> Boxes<'a, S> for Mixed<'a, S> {
@@ -202,41 +202,38 @@ impl<'a, S: Simd> Boxes<'a, S> for Mixed<'a, S> {
     fn meet(&mut self, node: &WideNode, depth: usize, lanes: u64, t_max: &Numbers) -> u32 {
         let (simd, rays) = (self.simd, self.rays);
         let steps = steps(simd, node);
-        let order = near_first(simd, 0)[0];
-        let of_axis = |axis: usize| {
-            let reciprocal = load(simd, rays.reciprocals[axis]);
-            let start = (f32x16::splat(simd, node.origin[axis]) - load(simd, rays.origins[axis])) * reciprocal;
-            let planes: Numbers = planes(simd, node, axis, order).into();
-            (planes, steps[axis] * reciprocal, start)
-        };
-        let (x, y, z) = (of_axis(0), of_axis(1), of_axis(2));
+        let [x, y, z] = each(
+            [0, 1, 2],
+            #[inline(always)]
+            |axis: usize| {
+                let reciprocal = load(simd, rays.reciprocals[axis]);
+                Slabs {
+                    planes: planes(simd, node, axis, near_first(simd, 0)[0]).into(),
+                    step: steps[axis] * reciprocal,
+                    start: (f32x16::splat(simd, node.origin[axis]) - load(simd, rays.origins[axis])) * reciprocal,
+                }
+            },
+        );
         let (t_min, t_max) = (load(simd, rays.t_min), load(simd, *t_max));
         let level = &mut self.levels[depth];
-        let mut met = 0;
-        let mut slots = children(node);
-        while slots != 0 {
-            let slot = slots.trailing_zeros() as usize & 7;
-            slots &= slots - 1;
-            let along = |(planes, step, start): &(Numbers, f32x16<S>, f32x16<S>)| {
-                let a = f32x16::splat(simd, planes[slot]).mul_add(*step, *start);
-                let b = f32x16::splat(simd, planes[8 + slot]).mul_add(*step, *start);
-                (a.min(b), a.max(b))
-            };
-            let (x, y, z) = (along(&x), along(&y), along(&z));
-            let enters = x.0.max(y.0).max(z.0.max(t_min)) * BOX_SLACK;
-            let leaves = x.1.min(y.1).min(z.1.min(t_max));
-            let lanes = enters.simd_le(leaves).to_bitmask() & lanes;
-            level.enters[slot] = enters.into();
-            level.lanes[slot] = lanes;
-            met |= u32::from(lanes != 0) << slot;
-        }
-        met
+        for_each_slot(
+            #[inline(always)]
+            |slot: usize| {
+                let [x, y, z] = [x.meet(simd, slot), y.meet(simd, slot), z.meet(simd, slot)];
+                let enters = x[0].max(y[0]).max(z[0].max(t_min)) * BOX_SLACK;
+                let leaves = x[1].min(y[1]).min(z[1].min(t_max));
+                level.enters[slot] = enters.into();
+                level.lanes[slot] = (enters.simd_le(leaves).to_bitmask() & lanes) as u16;
+            },
+        );
+        let missed = u16x8::simd_from(simd, level.lanes).simd_eq(0).to_bitmask() as u32;
+        children(node) & !missed
     }
 
     #[inline(always)]
     fn lanes(&self, _: &WideNode, depth: usize, slot: usize, t_max: &Numbers) -> u64 {
         let Children { enters, lanes } = &self.levels[depth];
-        lanes[slot & 7] & load(self.simd, enters[slot & 7]).simd_le(load(self.simd, *t_max)).to_bitmask()
+        u64::from(lanes[slot & 7]) & load(self.simd, enters[slot & 7]).simd_le(load(self.simd, *t_max)).to_bitmask()
     }
 
     #[inline(always)]
@@ -259,4 +256,36 @@ impl<'a, S: Simd> Boxes<'a, S> for Mixed<'a, S> {
         let (i, j) = (x_most.select(y, y_most.select(z, x)), x_most.select(z, y_most.select(x, y)));
         [goes_down.select(j, i), goes_down.select(i, j), x_most.select(x, y_most.select(y, z))]
     }
+}
+
+/// The slabs of a node's children along an axis, as rays see them.
+struct Slabs<S: Simd> {
+    /// The least planes, then the greatest, in steps.
+    planes: Numbers,
+    /// How far a step is along each ray, and how far the origin of the grid.
+    step: f32x16<S>,
+    start: f32x16<S>,
+}
+
+impl<S: Simd> Slabs<S> {
+    /// Where rays enter and leave the slab of a child.
+    #[inline(always)]
+    fn meet(&self, simd: S, slot: usize) -> [f32x16<S>; 2] {
+        let a = f32x16::splat(simd, self.planes[slot]).mul_add(self.step, self.start);
+        let b = f32x16::splat(simd, self.planes[8 + slot]).mul_add(self.step, self.start);
+        [a.min(b), a.max(b)]
+    }
+}
+
+/// Not a loop: most nodes have eight children, and those that do not exist do no harm.
+#[inline(always)]
+fn for_each_slot(mut f: impl FnMut(usize)) {
+    f(0);
+    f(1);
+    f(2);
+    f(3);
+    f(4);
+    f(5);
+    f(6);
+    f(7);
 }
