@@ -159,6 +159,13 @@ impl LocalPacket {
 /// swapped for a ray that looks down the axis, so that the winding stays.
 pub(super) const AXES: [[usize; 3]; 6] = [[1, 2, 0], [2, 1, 0], [2, 0, 1], [0, 2, 1], [0, 1, 2], [1, 0, 2]];
 
+/// Where x, y and z stand in a row of [`AXES`].
+#[inline(always)]
+pub(super) fn places_of_axes(axes: usize) -> [usize; 3] {
+    static PLACES: [[usize; 3]; 6] = [[2, 0, 1], [2, 1, 0], [1, 2, 0], [0, 2, 1], [0, 1, 2], [1, 0, 2]];
+    PLACES[axes % PLACES.len()]
+}
+
 #[inline(always)]
 fn stored<S: Simd>(v: [f32x16<S>; 3]) -> [Numbers; 3] {
     [v[0].into(), v[1].into(), v[2].into()]

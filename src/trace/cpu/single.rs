@@ -5,9 +5,9 @@ use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x4, f32x8, f32x16, u8x16};
 
 use super::answers::{Answers, Asks, Lane, Place};
-use super::lanes::{LANES, Numbers, children, each, lanes_of, near_first, planes, steps};
-use super::local::LocalPacket;
-use super::triangles::{Shear, UNSHEARED, Unsheared, by_corner, corners_of_four, cross, first_four, plane_distances};
+use super::lanes::{LANES, Numbers, children, each, lanes_of, load, near_first, planes, steps};
+use super::local::{LocalPacket, places_of_axes};
+use super::triangles::{Shear, Unsheared, by_corner, corners_of_four, cross, first_four, plane_distances};
 use super::walk::{DEPTH, Stack, Walker, walk};
 use crate::device::layout::{PrimitiveRange, Triangle, WideNode};
 use crate::trace::kernel::BOX_SLACK;
@@ -229,7 +229,9 @@ fn cross_four<S: Simd>(
     let mut few = [Triangle::zeroed(); 4];
     let four = first_four(triangles, &mut few);
     let lanes = (1 << count) - 1;
-    let p = corners_of_four(simd, four, rays.axes[lane] as usize);
+    let axes = rays.axes[lane] as usize;
+    let p = corners_of_four(simd, four, axes);
+    let in_memory: [Numbers; 3] = [p[0].into(), p[1].into(), p[2].into()];
     let from: [f32x16<S>; 3] =
         [of(simd, &rays.from[0], lane), of(simd, &rays.from[1], lane), of(simd, &rays.from[2], lane)];
     let shear = Shear {
@@ -247,9 +249,9 @@ fn cross_four<S: Simd>(
         #[inline(always)]
         |t, weights| {
             let [x, y, z] = each(
-                corners_of_four(simd, four, UNSHEARED),
+                places_of_axes(axes),
                 #[inline(always)]
-                |v| by_corner(v),
+                |place: usize| by_corner(load(simd, in_memory[place])),
             );
             let unsheared = Unsheared {
                 origin: each(

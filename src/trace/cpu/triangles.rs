@@ -189,9 +189,6 @@ pub(super) fn by_corner<S: Simd>(v: f32x16<S>) -> [f32x4<S>; 3] {
     [a, b, c.split().0]
 }
 
-/// The axes of a triangle as it is, for [`corners_of_four`].
-pub(super) const UNSHEARED: usize = 4;
-
 /// Coordinates of the corners of four triangles along those [`AXES`]: four first corners, four second, four third, four of no meaning.
 #[inline(always)]
 pub(super) fn corners_of_four<S: Simd>(simd: S, triangles: &[Triangle; 4], axes: usize) -> [f32x16<S>; 3] {
