@@ -74,6 +74,7 @@ pub(super) fn ask_one<S: Simd, Q: Query>(
     let mut query = Q::start(ray.t_max);
     walk_top(
         scene,
+        0,
         ray,
         ray.t_max,
         #[inline(always)]

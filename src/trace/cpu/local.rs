@@ -46,6 +46,19 @@ impl<S: Simd> Packet<S> {
             t_max: splat(ray.t_max),
         }
     }
+
+    /// One of them.
+    #[inline(always)]
+    pub(super) fn ray(&self, lane: usize) -> Ray {
+        let of_lane = |v: &f32x16<S>| v.as_array()[lane % LANES];
+        let [o, d] = [&self.origins, &self.directions];
+        Ray {
+            origin: [of_lane(&o[0]), of_lane(&o[1]), of_lane(&o[2])],
+            t_min: of_lane(&self.t_min),
+            direction: [of_lane(&d[0]), of_lane(&d[1]), of_lane(&d[2])],
+            t_max: of_lane(&self.t_max),
+        }
+    }
 }
 
 /// Of pairs of vectors the even elements, then the odd ones.

@@ -5,22 +5,30 @@ use fearless_simd::{Simd, f32x16};
 use glam::Vec3;
 
 use super::answers::Answers;
-use super::lanes::{Numbers, each, load};
+use super::lanes::{Numbers, each, lanes_of, load};
 use super::local::{Packet, meet_slabs, reciprocals};
+use super::together::FEW;
 use crate::accel::TopLevel;
 use crate::device::layout::{Node, PrimitiveRange, Ray};
 use crate::trace::kernel::{KernelScene, meets_box, slab_ray};
 
-/// Visits the instances whose boxes the ray meets no farther than `t_max`, which `visit` returns anew.
+/// Visits the instances below the node of index `root` whose boxes the ray meets no farther than `t_max`, which `visit` returns anew.
 #[inline(always)]
-pub(super) fn walk_top(scene: &KernelScene<'_>, ray: &Ray, mut t_max: f32, mut visit: impl FnMut(u32) -> f32) {
+pub(super) fn walk_top(
+    scene: &KernelScene<'_>,
+    root: u32,
+    ray: &Ray,
+    mut t_max: f32,
+    mut visit: impl FnMut(u32) -> f32,
+) {
     let direction = Vec3::from_array(ray.direction);
     let slab = slab_ray(Vec3::from_array(ray.origin), direction);
     walk_nodes(
         scene.tlas_nodes,
+        root,
         direction,
         #[inline(always)]
-        |node, instance| {
+        |_, node, instance| {
             let met = meets_box(&slab, ray.t_min, t_max, node);
             if let (true, Some(instance)) = (met, instance) {
                 t_max = visit(instance);
@@ -30,7 +38,8 @@ pub(super) fn walk_top(scene: &KernelScene<'_>, ray: &Ray, mut t_max: f32, mut v
     );
 }
 
-/// Visits the instances whose boxes rays of the packet meet no farther than its answers, with a bit for each of these rays.
+/// Visits the instances whose boxes rays of the packet meet no farther than its answers, with a bit for each of these rays: near ones
+/// first for the first ray, and for each of those few that go on one by one.
 #[inline(always)]
 pub(super) fn walk_top_packet<S: Simd, A: Answers>(
     simd: S,
@@ -41,21 +50,37 @@ pub(super) fn walk_top_packet<S: Simd, A: Answers>(
 ) {
     let slabs =
         Slabs { origins: packet.origins, reciprocals: reciprocals(simd, packet.directions), t_min: packet.t_min };
-    let direction = Vec3::from_array(each(
-        packet.directions,
-        #[inline(always)]
-        |d| d.as_array()[0],
-    ));
     walk_nodes(
         scene.tlas_nodes,
-        direction,
+        0,
+        Vec3::from_array(packet.ray(0).direction),
         #[inline(always)]
-        |node, instance| {
+        |index, node, instance| {
             let met = slabs.meet(simd, node, answers.t_max());
-            if let (true, Some(instance)) = (met != 0, instance) {
-                visit(instance, met, answers);
+            if met == 0 {
+                return false;
             }
-            met != 0
+            if let Some(instance) = instance {
+                visit(instance, met, answers);
+                return false;
+            }
+            if met.count_ones() > FEW {
+                return true;
+            }
+            for lane in lanes_of(met) {
+                walk_top(
+                    scene,
+                    index,
+                    &packet.ray(lane),
+                    answers.t_max()[lane],
+                    #[inline(always)]
+                    |instance| {
+                        visit(instance, 1 << lane, answers);
+                        answers.t_max()[lane]
+                    },
+                );
+            }
+            false
         },
     );
 }
@@ -84,20 +109,20 @@ impl<S: Simd> Slabs<S> {
     }
 }
 
-/// Shows nodes to `visit`, which is told the instance where it is a leaf, and says whether to go on below.
+/// Shows nodes from `root` on to `visit`, with their indices: it is told the instance where a node is a leaf, and says whether to go on below.
 ///
 /// The stack is never too short for a [`TopLevel`]. One made by hand may be deeper: what has no room is walked along escape indices.
 #[inline(always)]
-fn walk_nodes(nodes: &[Node], direction: Vec3, mut visit: impl FnMut(&Node, Option<u32>) -> bool) {
+fn walk_nodes(nodes: &[Node], root: u32, direction: Vec3, mut visit: impl FnMut(u32, &Node, Option<u32>) -> bool) {
     // A hierarchy of nothing is absent or zero.
     if nodes.first().is_none_or(|node| node.escape_index == 0) {
         return;
     }
     if nodes[0].primitives != PrimitiveRange::INNER {
-        visit(&nodes[0], Some(nodes[0].primitives.first()));
+        visit(0, &nodes[0], Some(nodes[0].primitives.first()));
         return;
     }
-    let mut stack = [0; TopLevel::MAX_DEPTH + 1];
+    let mut stack = [root; TopLevel::MAX_DEPTH + 1];
     let mut waiting = 1;
     // What is left to be walked along escape indices.
     let mut rope = 0..0;
@@ -111,7 +136,7 @@ fn walk_nodes(nodes: &[Node], direction: Vec3, mut visit: impl FnMut(&Node, Opti
         };
         let node = &nodes[index as usize];
         let is_leaf = node.primitives != PrimitiveRange::INNER;
-        let opens = visit(node, is_leaf.then(|| node.primitives.first())) && !is_leaf && !node.is_unused();
+        let opens = visit(index, node, is_leaf.then(|| node.primitives.first())) && !is_leaf && !node.is_unused();
         let left = index + 1;
         if on_rope {
             rope.start = if opens { left } else { node.escape_index };
