@@ -114,8 +114,8 @@ impl Tracer for Cpu {
 impl Cpu {
     /// As [`closest_hits`](Tracer::closest_hits), into memory that the caller keeps: new memory costs more time than many a ray.
     ///
-    /// Sixteen rays that follow one another are traced together where they go much the same way: so have neighbours stand beside
-    /// each other.
+    /// Sixteen rays that follow one another are traced together for as long as they visit the same nodes: so have neighbours stand
+    /// beside each other.
     ///
     /// # Panics
     /// If `hits` is not as long as `rays`.
