@@ -24,9 +24,12 @@ impl<'a> Place<'a> {
     #[inline(always)]
     pub(super) fn of(scene: &'a KernelScene<'a>, index: u32, ray_mask: u32) -> Option<Self> {
         let instance = &scene.instances[index as usize];
+        if instance.mask & ray_mask == 0 {
+            return None;
+        }
         let first_node = scene.geometries[instance.geometry as usize].first_wide_node;
         let nodes = &scene.wide_nodes[first_node as usize..];
-        (instance.mask & ray_mask != 0).then_some(Self { scene, index, instance, nodes })
+        Some(Self { scene, index, instance, nodes })
     }
 }
 

@@ -4,7 +4,9 @@ use bytemuck::Zeroable;
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x8, f32x16, u8x16, u16x8, u32x16};
 
-use super::lanes::{LANES, Numbers, children, each, greatest_of, least_of, load, near_first, planes, steps};
+use super::lanes::{
+    LANES, Numbers, children, each, greatest_of, least_of, load, met, near_first, planes, range, steps,
+};
 use super::local::{AXES, LocalPacket, meet_slabs};
 use super::triangles::splats;
 use super::walk::DEPTH;
@@ -131,10 +133,9 @@ impl<'a, S: Simd> Boxes<'a, S> for Alike<'a, S> {
                 (planes, t)
             },
         );
-        let range = (self.t_min * BOX_SLACK).combine(-self.t_max);
-        let (enters, leaves) = x.1.max(y.1).max(z.1.max(range)).split();
+        let (met, enters) = met(node, x.1.max(y.1).max(z.1.max(range(self.t_min, self.t_max))));
         self.levels[depth] = Planes { planes: [x.0.into(), y.0.into(), z.0.into()], enters: enters.into() };
-        (enters + leaves).simd_le(0.0).to_bitmask() as u32 & children(node)
+        met
     }
 
     #[inline(always)]

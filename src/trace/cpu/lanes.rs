@@ -4,6 +4,7 @@ use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x8, f32x16, u8x16, u32x16};
 
 use crate::device::layout::WideNode;
+use crate::trace::kernel::BOX_SLACK;
 
 /// Rays of a packet.
 pub(super) const LANES: usize = 16;
@@ -106,6 +107,20 @@ pub(super) fn steps<S: Simd>(simd: S, node: &WideNode) -> [f32x16<S>; 3] {
 #[inline(always)]
 pub(super) fn children(node: &WideNode) -> u32 {
     u32::from(node.exponents[3])
+}
+
+/// What boxes must reach of a ray: its start in the lower lanes, its end, negated, in the upper ones. The greatest of these and of
+/// where the ray enters and, negated, leaves the slabs of a box says whether it is met.
+#[inline(always)]
+pub(super) fn range<S: Simd>(t_min: f32x8<S>, t_max: f32x8<S>) -> f32x16<S> {
+    (t_min * BOX_SLACK).combine(-t_max)
+}
+
+/// The slots whose boxes are met, and where, by the greatest of all slabs and the [`range`].
+#[inline(always)]
+pub(super) fn met<S: Simd>(node: &WideNode, slabs: f32x16<S>) -> (u32, f32x8<S>) {
+    let (enters, leaves) = slabs.split();
+    ((enters + leaves).simd_le(0.0).to_bitmask() as u32 & children(node), enters)
 }
 
 #[inline(always)]

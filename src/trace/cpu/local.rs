@@ -175,7 +175,15 @@ pub(super) const AXES: [[usize; 3]; 6] = [[1, 2, 0], [2, 1, 0], [2, 0, 1], [0, 2
 /// Where x, y and z stand in a row of [`AXES`].
 #[inline(always)]
 pub(super) fn places_of_axes(axes: usize) -> [usize; 3] {
-    static PLACES: [[usize; 3]; 6] = [[2, 0, 1], [2, 1, 0], [1, 2, 0], [0, 2, 1], [0, 1, 2], [1, 0, 2]];
+    static PLACES: [[usize; 3]; AXES.len()] = {
+        let mut places = [[0; 3]; AXES.len()];
+        let mut i = 0;
+        while i < AXES.len() * 3 {
+            places[i / 3][AXES[i / 3][i % 3]] = i % 3;
+            i += 1;
+        }
+        places
+    };
     PLACES[axes % PLACES.len()]
 }
 

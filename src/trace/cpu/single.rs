@@ -5,7 +5,7 @@ use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x4, f32x8, f32x16, u8x16};
 
 use super::answers::{Answers, Asks, Lane, Place};
-use super::lanes::{LANES, Numbers, children, each, lanes_of, load, near_first, planes, steps};
+use super::lanes::{LANES, Numbers, each, lanes_of, load, met, near_first, planes, range, steps};
 use super::local::{LocalPacket, places_of_axes};
 use super::triangles::{Shear, Unsheared, by_corner, corners_of_four, cross, first_four, plane_distances};
 use super::walk::{DEPTH, Stack, Walker, walk};
@@ -105,7 +105,6 @@ struct Single<'a, S: Simd, Q> {
     scales: [f32x16<S>; 3],
     orders: [u8x16<S>; 3],
     t_max: f32x8<S>,
-    /// What boxes must reach: the ray's start in the lower lanes, its end, negated, in the upper ones.
     range: f32x16<S>,
 }
 
@@ -113,11 +112,6 @@ struct Single<'a, S: Simd, Q> {
 #[inline(always)]
 fn of<S: Simd, V: SimdFloat<S, Element = f32>>(simd: S, numbers: &Numbers, lane: usize) -> V {
     V::splat(simd, numbers[lane])
-}
-
-#[inline(always)]
-fn range<S: Simd>(simd: S, rays: &LocalPacket, lane: usize, t_max: f32x8<S>) -> f32x16<S> {
-    (of::<S, f32x8<S>>(simd, &rays.t_min, lane) * BOX_SLACK).combine(-t_max)
 }
 
 impl<'a, S: Simd, Q: Asks> Single<'a, S, Q> {
@@ -150,7 +144,7 @@ impl<'a, S: Simd, Q: Asks> Single<'a, S, Q> {
             ],
             orders: near_first(simd, rays.octants[lane] as usize),
             t_max,
-            range: range(simd, rays, lane, t_max),
+            range: range(of(simd, &rays.t_min, lane), t_max),
             query,
         }
     }
@@ -169,9 +163,9 @@ impl<S: Simd, Q: Asks> Walker for Single<'_, S, Q> {
                 planes(simd, node, axis, self.orders[axis]).mul_sub(steps[axis], to_origin) * self.scales[axis]
             },
         );
-        let (enters, leaves) = x.max(y).max(z.max(self.range)).split();
+        let (met, enters) = met(node, x.max(y).max(z.max(self.range)));
         self.enters[depth] = enters.into();
-        (enters + leaves).simd_le(0.0).to_bitmask() as u32 & children(node)
+        met
     }
 
     #[inline(always)]
@@ -189,7 +183,7 @@ impl<S: Simd, Q: Asks> Walker for Single<'_, S, Q> {
         let is_nearer = cross_leaf(self.simd, self.place, self.rays, self.lane, triangles, self.query);
         if is_nearer {
             self.t_max = f32x8::splat(self.simd, self.query.t_max());
-            self.range = range(self.simd, self.rays, self.lane, self.t_max);
+            self.range = range(of(self.simd, &self.rays.t_min, self.lane), self.t_max);
         }
         is_nearer
     }
