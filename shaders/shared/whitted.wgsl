@@ -91,7 +91,9 @@ fn shade(paths: ptr<function, Paths>, ray: PendingRay, surface: Surface) {
     let mirrored = raise(surface.normal * (2.0 * cosine) - to_viewer, surface.geometric_normal);
     let sharp = sharpness(surface.roughness);
     var radiance = surface.emissive + shares.matt * sky_ambient(surface.normal);
-    radiance += shares.mirrored * (sky_blurred(mirrored, surface.roughness) * (1.0 - sharp));
+    if sharp < 1.0 {
+        radiance += shares.mirrored * (sky_blurred(mirrored, surface.roughness) * (1.0 - sharp));
+    }
     if NEEDS_LIGHTS {
         radiance += direct_light(surface, to_viewer);
     }

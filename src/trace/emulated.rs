@@ -4,14 +4,14 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::kernel::{
-    KernelScene, Traverse, any_hit, camera_ray, closest_hit, count_any, count_closest, count_transmittance,
+    KernelScene, Pixel, Traverse, any_hit, camera_ray, closest_hit, count_any, count_closest, count_transmittance,
     render_pixel, transmittance,
 };
 use super::planes::Planes;
 use super::{Counts, DeviceInfo, FrameCounts, FrameRequest, Layout, Tracer};
 use crate::Result;
 use crate::device::DeviceArrays;
-use crate::device::layout::{Hit, NONE, Ray};
+use crate::device::layout::{Hit, Ray};
 use crate::image::Image;
 
 /// Runs the kernel on the calling thread: to debug it, and to compare others with. Reads the arrays in place.
@@ -50,9 +50,8 @@ impl Emulated {
             let mut rays = Counting { scene: &scene, counts: FrameCounts::default() };
             for x in 0..params.width {
                 let primary = camera_ray(params, x, y);
-                let hit = rays.closest_hit(&primary, params.ray_mask);
-                rays.counts.first_hits += u64::from(hit.instance != NONE);
-                render_pixel(&mut rays, params, &primary, hit);
+                let pixel = render_pixel(&mut rays, params, &primary);
+                rays.counts.first_hits += u64::from(pixel.ids != Pixel::NOTHING.ids);
             }
             rays.counts
         });
@@ -118,8 +117,7 @@ impl Tracer for Emulated {
         for y in 0..params.height {
             for x in 0..params.width {
                 let primary = camera_ray(params, x, y);
-                let hit = closest_hit(&scene, &primary, params.ray_mask);
-                frame.push(&render_pixel(&mut &scene, params, &primary, hit));
+                frame.push(&render_pixel(&mut &scene, params, &primary));
             }
         }
         self.frame = frame;

@@ -92,7 +92,7 @@ pub(crate) fn stops(scene: &KernelScene<'_>, instance: &Instance, triangle: &Tri
 /// See [`transmittance`](crate::trace::kernel::transmittance).
 #[derive(Clone, Copy)]
 pub(crate) struct Transmittance {
-    t_max: f32,
+    pub(crate) t_max: f32,
     pub(crate) light: Vec3,
     /// Whether there are layered instances, which are left out.
     pub(crate) has_layers: bool,

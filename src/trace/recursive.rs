@@ -103,8 +103,7 @@ impl Tracer for Recursive {
         for y in 0..params.height {
             for x in 0..params.width {
                 let primary = camera_ray(params, x, y);
-                let hit = rays.closest_hit(&primary, params.ray_mask);
-                frame.push(&render_pixel(&mut rays, params, &primary, hit));
+                frame.push(&render_pixel(&mut rays, params, &primary));
             }
         }
         self.frame = frame;

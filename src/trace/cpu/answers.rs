@@ -2,12 +2,13 @@
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x16, mask32x16, u32x16};
+use glam::Vec3;
 
 use super::lanes::{LANES, Numbers, lanes_of, load};
 use super::triangles::Crossings;
-use crate::device::layout::{Hit, Instance, InstanceFlags, NONE, WideNode};
+use crate::device::layout::{Hit, Instance, InstanceFlags, NONE, Ray, WideNode};
 use crate::trace::kernel::{KernelScene, is_closer, is_hole};
-use crate::trace::queries::{Any, Candidate, Closest, Query, stops};
+use crate::trace::queries::{Any, Candidate, Closest, Query, Transmittance, stops};
 
 /// Where triangles are met.
 pub(super) struct Place<'a> {
@@ -33,43 +34,24 @@ impl<'a> Place<'a> {
     }
 }
 
-/// What a ray wants to know.
-pub(super) trait Asks {
-    /// How far it goes.
-    fn t_max(&self) -> f32;
-
-    /// The ray crosses a triangle.
-    fn cross(&mut self, place: &Place<'_>, candidate: &Candidate);
-}
-
-impl<Q: Query> Asks for Q {
-    #[inline(always)]
-    fn t_max(&self) -> f32 {
-        Query::t_max(self)
-    }
-
-    #[inline(always)]
-    fn cross(&mut self, place: &Place<'_>, candidate: &Candidate) {
-        Query::cross(self, place.scene, place.index, place.instance, candidate);
-    }
-}
-
 /// One of sixteen.
 pub(super) struct Lane<'a, A> {
     pub(super) answers: &'a mut A,
     pub(super) lane: usize,
 }
 
-impl<A: Answers> Asks for Lane<'_, A> {
+impl<A: Answers> Lane<'_, A> {
+    /// How far it goes.
     #[inline(always)]
-    fn t_max(&self) -> f32 {
+    pub(super) fn t_max(&self) -> f32 {
         self.answers.t_max()[self.lane]
     }
 
+    /// It crosses a triangle.
     #[inline(always)]
-    fn cross(&mut self, place: &Place<'_>, candidate: &Candidate) {
+    pub(super) fn cross(&mut self, place: &Place<'_>, candidate: &Candidate) {
         let mut query = self.answers.query(self.lane);
-        Asks::cross(&mut query, place, candidate);
+        query.cross(place.scene, place.index, place.instance, candidate);
         self.answers.set_query(self.lane, query);
     }
 }
@@ -79,11 +61,14 @@ pub(super) trait Answers {
     type Query: Query;
     /// What is said of a ray in the end.
     type Hit;
+    /// What is said of a ray that meets nothing.
+    const MISS: Self::Hit;
 
     /// Of rays that have met nothing and go that far.
     fn new<S: Simd>(t_max: f32x16<S>) -> Self;
 
-    fn hits<S: Simd>(&self, simd: S) -> [Self::Hit; LANES];
+    /// Of these rays.
+    fn hits<S: Simd>(&self, simd: S, scene: &KernelScene<'_>, rays: &[Ray; LANES], ray_mask: u32) -> [Self::Hit; LANES];
 
     /// How far each ray goes.
     fn t_max(&self) -> &Numbers;
@@ -117,6 +102,7 @@ fn interleaved<S: Simd>(v: [f32x16<S>; 8]) -> [f32x16<S>; 8] {
 impl Answers for ClosestHits {
     type Query = Closest;
     type Hit = Hit;
+    const MISS: Hit = Hit::MISS;
 
     #[inline(always)]
     fn new<S: Simd>(t_max: f32x16<S>) -> Self {
@@ -133,7 +119,7 @@ impl Answers for ClosestHits {
     }
 
     #[inline(always)]
-    fn hits<S: Simd>(&self, simd: S) -> [Hit; LANES] {
+    fn hits<S: Simd>(&self, simd: S, _: &KernelScene<'_>, _: &[Ray; LANES], _: u32) -> [Hit; LANES] {
         let bits = |v: [u32; LANES]| u32x16::simd_from(simd, v).bitcast::<f32x16<S>>();
         let is_miss = u32x16::simd_from(simd, self.instance).simd_eq(NONE);
         let back = mask32x16::from_bitmask(simd, self.back).select(u32x16::splat(simd, 1), u32x16::splat(simd, 0));
@@ -230,6 +216,7 @@ pub(super) struct AnyHits {
 impl Answers for AnyHits {
     type Query = Any;
     type Hit = bool;
+    const MISS: bool = false;
 
     #[inline(always)]
     fn new<S: Simd>(t_max: f32x16<S>) -> Self {
@@ -237,7 +224,7 @@ impl Answers for AnyHits {
     }
 
     #[inline(always)]
-    fn hits<S: Simd>(&self, _: S) -> [bool; LANES] {
+    fn hits<S: Simd>(&self, _: S, _: &KernelScene<'_>, _: &[Ray; LANES], _: u32) -> [bool; LANES] {
         let mut hits = [false; LANES];
         for (lane, hit) in hits.iter_mut().enumerate() {
             *hit = self.hit >> lane & 1 != 0;
@@ -277,5 +264,78 @@ impl Answers for AnyHits {
         let ended = f32x16::splat(simd, f32::NEG_INFINITY);
         self.t_max = mask32x16::from_bitmask(simd, lanes).select(ended, load(simd, self.t_max)).into();
         self.hit |= lanes;
+    }
+}
+
+/// How much light gets through.
+pub(super) struct Transmittances {
+    t_max: Numbers,
+    light: [Numbers; 3],
+    /// A bit for each ray that has met a layered instance.
+    layers: u64,
+}
+
+impl Answers for Transmittances {
+    type Query = Transmittance;
+    type Hit = Vec3;
+    const MISS: Vec3 = Vec3::ONE;
+
+    #[inline(always)]
+    fn new<S: Simd>(t_max: f32x16<S>) -> Self {
+        Self { t_max: t_max.into(), light: [[1.0; LANES]; 3], layers: 0 }
+    }
+
+    #[inline(always)]
+    fn hits<S: Simd>(&self, _: S, scene: &KernelScene<'_>, rays: &[Ray; LANES], ray_mask: u32) -> [Vec3; LANES] {
+        let mut light = [Vec3::ONE; LANES];
+        for (lane, light) in light.iter_mut().enumerate() {
+            *light = self.query(lane).light(scene, &rays[lane], ray_mask);
+        }
+        light
+    }
+
+    #[inline(always)]
+    fn t_max(&self) -> &Numbers {
+        &self.t_max
+    }
+
+    #[inline(always)]
+    fn query(&self, lane: usize) -> Transmittance {
+        let light = Vec3::new(self.light[0][lane], self.light[1][lane], self.light[2][lane]);
+        Transmittance { t_max: self.t_max[lane], light, has_layers: self.layers >> lane & 1 != 0 }
+    }
+
+    #[inline(always)]
+    fn set_query(&mut self, lane: usize, Transmittance { t_max, light, has_layers }: Transmittance) {
+        self.t_max[lane] = t_max;
+        for (of_lanes, light) in self.light.iter_mut().zip(light.to_array()) {
+            of_lanes[lane] = light;
+        }
+        self.layers = self.layers & !(1 << lane) | u64::from(has_layers) << lane;
+    }
+
+    /// As [`Transmittance::cross`](Query::cross).
+    #[inline(always)]
+    fn accept<S: Simd>(&mut self, simd: S, place: &Place<'_>, triangle: u32, lanes: u64, at: &Crossings<f32x16<S>>) {
+        let flags = InstanceFlags::from_bits_retain(place.instance.flags);
+        if flags.contains(InstanceFlags::TRANSLUCENT) {
+            let (t, u, v) = (at.t.as_array(), at.u.as_array(), at.v.as_array());
+            for lane in lanes_of(lanes) {
+                let back = at.back >> lane & 1 != 0;
+                let candidate = Candidate { t: t[lane], u: u[lane], v: v[lane], back, triangle };
+                Lane { answers: self, lane }.cross(place, &candidate);
+            }
+            return;
+        }
+        let stopped = mask32x16::from_bitmask(simd, lanes);
+        let set = |numbers: &mut Numbers, number: f32| {
+            *numbers = stopped.select(f32x16::splat(simd, number), load(simd, *numbers)).into();
+        };
+        set(&mut self.t_max, f32::NEG_INFINITY);
+        let [red, green, blue] = &mut self.light;
+        set(red, 0.0);
+        set(green, 0.0);
+        set(blue, 0.0);
+        self.layers &= !lanes;
     }
 }

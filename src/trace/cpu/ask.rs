@@ -1,4 +1,4 @@
-//! Queries answered by SIMD walks: of sixteen rays, and of one.
+//! Queries answered by SIMD walks, sixteen rays at a time.
 
 use fearless_simd::Simd;
 
@@ -6,12 +6,11 @@ use super::answers::{Answers, Place};
 use super::boxes::{Alike, Mixed, are_alike};
 use super::lanes::LANES;
 use super::local::{LocalPacket, Packet};
-use super::single::{walk_single, walk_singly};
+use super::single::walk_singly;
 use super::together::{FEW, Memory, walk_together};
-use super::top::{walk_top, walk_top_packet};
+use super::top::walk_top_packet;
 use crate::device::layout::Ray;
 use crate::trace::kernel::KernelScene;
-use crate::trace::queries::Query;
 
 /// The answers of packet after packet.
 #[inline(always)]
@@ -27,7 +26,7 @@ pub(super) fn ask_packets<S: Simd, A: Answers>(
         let packet = Packet::new(simd, rays);
         let mut answers = A::new(packet.t_max);
         ask(simd, scene, memory, &packet, ray_mask, &mut answers);
-        *hits = answers.hits(simd);
+        *hits = answers.hits(simd, scene, rays, ray_mask);
     }
 }
 
@@ -59,33 +58,4 @@ fn ask<S: Simd, A: Answers>(
             }
         },
     );
-}
-
-/// One ray.
-#[inline(always)]
-pub(super) fn ask_one<S: Simd, Q: Query>(
-    simd: S,
-    scene: &KernelScene<'_>,
-    memory: &mut Memory,
-    ray: &Ray,
-    ray_mask: u32,
-) -> Q {
-    let packet = Packet::of_one(simd, ray);
-    let mut query = Q::start(ray.t_max);
-    walk_top(
-        scene,
-        0,
-        ray,
-        ray.t_max,
-        #[inline(always)]
-        |index| {
-            if let Some(place) = Place::of(scene, index, ray_mask) {
-                let rays = LocalPacket::new(simd, &packet, place.instance, &place.nodes[0]);
-                walk_single(simd, &mut memory.single, &place, &rays, &mut query);
-            }
-            query.t_max()
-        },
-    );
-    query.finish();
-    query
 }

@@ -4,7 +4,7 @@ use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x16, mask32x16, u32x16};
 
 use super::lanes::{LANES, Numbers, abs, each, greatest, load};
-use super::triangles::{Shear, splats};
+use super::triangles::Shear;
 use crate::device::layout::{Instance, Ray, WideNode};
 use crate::trace::kernel::{BOX_SLACK, LEAST_COMPONENT, LEAST_SHARE, extent};
 
@@ -33,18 +33,6 @@ impl<S: Simd> Packet<S> {
         ];
         let v = deinterleaved(deinterleaved(deinterleaved(v)));
         Self { origins: [v[0], v[1], v[2]], t_min: v[3], directions: [v[4], v[5], v[6]], t_max: v[7] }
-    }
-
-    /// A ray in all lanes.
-    #[inline(always)]
-    pub(super) fn of_one(simd: S, ray: &Ray) -> Self {
-        let splat = |number: f32| f32x16::splat(simd, number);
-        Self {
-            origins: splats(simd, ray.origin),
-            directions: splats(simd, ray.direction),
-            t_min: splat(ray.t_min),
-            t_max: splat(ray.t_max),
-        }
     }
 
     /// One of them.

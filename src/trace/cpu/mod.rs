@@ -13,22 +13,22 @@ mod lanes;
 mod local;
 mod rays;
 mod single;
+mod tile;
 mod together;
 mod top;
 mod triangles;
 mod walk;
 
-use bytemuck::Zeroable;
 use rayon::prelude::*;
 
-use self::lanes::LANES;
 use self::rays::Rays;
-use super::kernel::{KernelScene, Pixel, camera_ray, render_pixel};
+use self::tile::TileTracer;
+use super::kernel::{KernelScene, Pixel};
 use super::planes::Planes;
 use super::{DeviceInfo, FrameRequest, Layout, Tracer};
 use crate::Result;
 use crate::device::DeviceArrays;
-use crate::device::layout::{FrameParams, Hit, Ray};
+use crate::device::layout::{Hit, Ray};
 use crate::image::Image;
 
 /// Runs the kernel on rayon's current thread pool. Reads the arrays in place.
@@ -44,8 +44,6 @@ pub struct Cpu {
 
 /// Pixels along a tile's side: rays of a tile visit much the same nodes, and there are enough tiles to keep all cores busy.
 const TILE: u32 = 16;
-/// Pixels along the side of a block whose primary rays are a packet.
-const BLOCK: usize = 4;
 /// Rays that one task traces.
 const RAYS_A_TASK: usize = 512;
 
@@ -81,8 +79,8 @@ impl Tracer for Cpu {
             let tiles = row.par_chunks_mut((TILE * rows_of_tile(self.height, top)) as usize);
             let tiles = tiles.zip((0..self.width).into_par_iter().step_by(TILE as usize));
             tiles.for_each_init(
-                || Rays::new(&scene),
-                |rays, (pixels, left)| render_tile(rays, params, [left, top], pixels),
+                || TileTracer::new(&scene),
+                |tracer, (pixels, left)| tracer.render(params, [left, top], columns_of_tile(self.width, left), pixels),
             );
         });
         Ok(())
@@ -164,33 +162,13 @@ fn pixel_index([width, height]: [u32; 2], x: u32, y: u32) -> usize {
     above + before + ((y - top) * columns_of_tile(width, left) + x - left) as usize
 }
 
-/// Packets are blocks of pixels.
-fn render_tile(rays: &mut Rays<'_>, params: &FrameParams, [left, top]: [u32; 2], pixels: &mut [Pixel]) {
-    let (columns, rows) = (columns_of_tile(params.width, left), rows_of_tile(params.height, top));
-    for (y, x) in (0..rows).step_by(BLOCK).flat_map(|y| (0..columns).step_by(BLOCK).map(move |x| (y, x))) {
-        let size = [columns - x, rows - y].map(|size| size.min(BLOCK as u32));
-        let mut places = [(0, Ray::zeroed()); LANES];
-        let count = (size[0] * size[1]) as usize;
-        for (i, (place, primary)) in (0..).zip(&mut places[..count]) {
-            let (x, y) = (x + i % size[0], y + i / size[0]);
-            *place = (y * columns + x) as usize;
-            *primary = camera_ray(params, left + x, top + y);
-        }
-        let primaries = places.map(|(_, primary)| primary);
-        let mut hits = [Hit::MISS; LANES];
-        rays.closest_hits(&primaries[..count], params.ray_mask, &mut hits[..count]);
-        for ((place, primary), hit) in places.iter().zip(hits).take(count) {
-            pixels[*place] = render_pixel(rays, params, primary, hit);
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use bytemuck::Zeroable as _;
 
     use super::*;
     use crate::compile::Needs;
+    use crate::device::layout::FrameParams;
 
     /// So that the limit on the pixels of a frame is one on memory, however long and thin the frame.
     #[test]

@@ -1,16 +1,15 @@
-//! The door to the SIMD code: rays of any kind, one at a time or sixteen, with the lanes that this processor has.
+//! The door to the SIMD code: any number of rays, sixteen at a time, with the lanes that this processor has.
 
 use fearless_simd::{Level, Simd};
 use glam::Vec3;
 
-use super::answers::{AnyHits, ClosestHits};
-use super::ask::{ask_one, ask_packets};
+use super::answers::{Answers, AnyHits, ClosestHits, Transmittances};
+use super::ask::ask_packets;
 use super::lanes::LANES;
 use super::together::Memory;
 use crate::device::layout::{Hit, Ray};
 use crate::trace::Layout;
-use crate::trace::kernel::{KernelScene, Traverse, any_hit, closest_hit, transmittance};
-use crate::trace::queries::{Closest, Query, Transmittance};
+use crate::trace::kernel::{KernelScene, any_hit, closest_hit, transmittance};
 
 /// What a task traces rays with.
 pub(super) struct Rays<'a> {
@@ -63,75 +62,44 @@ impl<'a> Rays<'a> {
         Self { scene, lanes, memory: bytemuck::zeroed_box() }
     }
 
-    /// Sixteen that follow one another best go much the same way.
+    /// Of these queries sixteen that follow one another best go much the same way.
     pub(super) fn closest_hits(&mut self, rays: &[Ray], ray_mask: u32, hits: &mut [Hit]) {
-        let (scene, memory) = (self.scene, &mut *self.memory);
         match self.lanes {
-            Some(level) => by_packets(
-                rays,
-                hits,
-                Hit::MISS,
-                |rays, hits| with_lanes!(level, simd => ask_packets::<_, ClosestHits>(simd, scene, memory, rays, ray_mask, hits)),
-            ),
-            None => hits.iter_mut().zip(rays).for_each(|(hit, ray)| *hit = closest_hit(scene, ray, ray_mask)),
+            Some(level) => self.ask::<ClosestHits>(level, rays, ray_mask, hits),
+            None => hits.iter_mut().zip(rays).for_each(|(hit, ray)| *hit = closest_hit(self.scene, ray, ray_mask)),
         }
     }
 
-    /// Sixteen that follow one another best go much the same way.
     pub(super) fn any_hits(&mut self, rays: &[Ray], ray_mask: u32, hits: &mut [bool]) {
-        let (scene, memory) = (self.scene, &mut *self.memory);
         match self.lanes {
-            Some(level) => by_packets(
-                rays,
-                hits,
-                false,
-                |rays, hits| with_lanes!(level, simd => ask_packets::<_, AnyHits>(simd, scene, memory, rays, ray_mask, hits)),
-            ),
-            None => hits.iter_mut().zip(rays).for_each(|(hit, ray)| *hit = any_hit(scene, ray, ray_mask)),
+            Some(level) => self.ask::<AnyHits>(level, rays, ray_mask, hits),
+            None => hits.iter_mut().zip(rays).for_each(|(hit, ray)| *hit = any_hit(self.scene, ray, ray_mask)),
         }
     }
 
-    fn ask<Q: Query>(&mut self, level: Level, ray: &Ray, ray_mask: u32) -> Q {
-        let (scene, memory) = (self.scene, &mut *self.memory);
-        with_lanes!(level, simd => ask_one(simd, scene, memory, ray, ray_mask))
-    }
-}
-
-/// Calls `trace` with whole packets; where rays are left over, with one more that has rays which meet nothing.
-fn by_packets<T: Copy>(
-    rays: &[Ray],
-    hits: &mut [T],
-    miss: T,
-    mut trace: impl FnMut(&[[Ray; LANES]], &mut [[T; LANES]]),
-) {
-    let (packets, rest) = rays.as_chunks();
-    let (hits, hits_of_rest) = hits.as_chunks_mut();
-    trace(packets, hits);
-    if let Some(first) = rest.first() {
-        let mut packet = [Ray { t_max: f32::NEG_INFINITY, ..*first }; LANES];
-        packet[..rest.len()].copy_from_slice(rest);
-        let mut hits = [miss; LANES];
-        trace(&[packet], std::array::from_mut(&mut hits));
-        hits_of_rest.copy_from_slice(&hits[..rest.len()]);
-    }
-}
-
-impl<'a> Traverse<'a> for Rays<'a> {
-    fn scene(&self) -> &'a KernelScene<'a> {
-        self.scene
-    }
-
-    fn closest_hit(&mut self, ray: &Ray, ray_mask: u32) -> Hit {
+    /// How much light gets through.
+    pub(super) fn transmittances(&mut self, rays: &[Ray], ray_mask: u32, light: &mut [Vec3]) {
         match self.lanes {
-            Some(level) => self.ask::<Closest>(level, ray, ray_mask).0,
-            None => closest_hit(self.scene, ray, ray_mask),
+            Some(level) => self.ask::<Transmittances>(level, rays, ray_mask, light),
+            None => light.iter_mut().zip(rays).for_each(|(light, ray)| *light = transmittance(self.scene, ray, ray_mask)),
         }
     }
 
-    fn transmittance(&mut self, ray: &Ray, ray_mask: u32) -> Vec3 {
-        match self.lanes {
-            Some(level) => self.ask::<Transmittance>(level, ray, ray_mask).light(self.scene, ray, ray_mask),
-            None => transmittance(self.scene, ray, ray_mask),
+    /// By whole packets; where rays are left over, by one more that has rays which meet nothing.
+    fn ask<A: Answers<Hit: Copy>>(&mut self, level: Level, rays: &[Ray], ray_mask: u32, hits: &mut [A::Hit]) {
+        let (scene, memory) = (self.scene, &mut *self.memory);
+        let mut ask = |rays: &[[Ray; LANES]], hits: &mut [[A::Hit; LANES]]| {
+            with_lanes!(level, simd => ask_packets::<_, A>(simd, scene, memory, rays, ray_mask, hits));
+        };
+        let (packets, rest) = rays.as_chunks();
+        let (hits, hits_of_rest) = hits.as_chunks_mut();
+        ask(packets, hits);
+        if let Some(first) = rest.first() {
+            let mut packet = [Ray { t_max: f32::NEG_INFINITY, ..*first }; LANES];
+            packet[..rest.len()].copy_from_slice(rest);
+            let mut hits = [A::MISS; LANES];
+            ask(&[packet], std::array::from_mut(&mut hits));
+            hits_of_rest.copy_from_slice(&hits[..rest.len()]);
         }
     }
 }
@@ -191,11 +159,11 @@ mod tests {
         let trace = |lanes: Option<Level>| {
             let mut tracer = Rays { scene: &scene, lanes, memory: bytemuck::zeroed_box() };
             let (mut hits, mut any) = (vec![Hit::MISS; rays.len()], vec![false; rays.len()]);
+            let mut light = vec![Vec3::NAN; rays.len()];
             tracer.closest_hits(&rays, u32::MAX, &mut hits);
             tracer.any_hits(&rays, u32::MAX, &mut any);
-            let single: Vec<Hit> = rays.iter().map(|ray| tracer.closest_hit(ray, u32::MAX)).collect();
-            assert_eq!(single, hits, "{lanes:?}");
-            (hits, any)
+            tracer.transmittances(&rays, u32::MAX, &mut light);
+            (hits, any, light)
         };
         let expected = trace(None);
         let met = expected.1.iter().filter(|&&hit| hit).count();

@@ -4,7 +4,7 @@ use bytemuck::Zeroable;
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x4, f32x8, f32x16, u8x16};
 
-use super::answers::{Answers, Asks, Lane, Place};
+use super::answers::{Answers, Lane, Place};
 use super::lanes::{LANES, Numbers, each, lanes_of, load, met, near_first, planes, range, steps};
 use super::local::{LocalPacket, places_of_axes};
 use super::triangles::{Shear, Unsheared, by_corner, corners_of_four, cross, first_four, plane_distances};
@@ -42,21 +42,6 @@ pub(super) fn walk_singly<S: Simd, A: Answers>(
     );
 }
 
-/// The first ray of a packet. A function of its own: it needs all registers.
-#[inline(never)]
-pub(super) fn walk_single<S: Simd>(
-    simd: S,
-    memory: &mut Memory,
-    place: &Place<'_>,
-    rays: &LocalPacket,
-    query: &mut impl Asks,
-) {
-    simd.vectorize(
-        #[inline(always)]
-        || walk_lane(simd, 0, memory, place, rays, 0, query),
-    );
-}
-
 /// The rays of these lanes, one by one, against the triangles of a leaf. A function of its own: it needs all registers.
 #[inline(never)]
 pub(super) fn cross_singly<S: Simd, A: Answers>(
@@ -85,20 +70,20 @@ fn walk_lane<S: Simd>(
     place: &Place<'_>,
     rays: &LocalPacket,
     lane: usize,
-    query: &mut impl Asks,
+    query: &mut Lane<'_, impl Answers>,
 ) {
     let lane = lane % LANES;
     let mut walker = Single::new(simd, place, rays, lane, query, &mut memory.enters);
     walk(place.nodes, root, rays.octants[lane] as usize, &mut memory.stack, &mut walker);
 }
 
-/// One ray that asks a query.
-struct Single<'a, S: Simd, Q> {
+/// One ray.
+struct Single<'a, 'l, S: Simd, A> {
     simd: S,
     place: &'a Place<'a>,
     rays: &'a LocalPacket,
     lane: usize,
-    query: &'a mut Q,
+    query: &'a mut Lane<'l, A>,
     enters: &'a mut [[f32; 8]; DEPTH],
     origin: [f32x16<S>; 3],
     /// For near planes in the lower lanes, times the slack of boxes; for far planes in the upper ones, negated.
@@ -114,14 +99,14 @@ fn of<S: Simd, V: SimdFloat<S, Element = f32>>(simd: S, numbers: &Numbers, lane:
     V::splat(simd, numbers[lane])
 }
 
-impl<'a, S: Simd, Q: Asks> Single<'a, S, Q> {
+impl<'a, 'l, S: Simd, A: Answers> Single<'a, 'l, S, A> {
     #[inline(always)]
     fn new(
         simd: S,
         place: &'a Place<'a>,
         rays: &'a LocalPacket,
         lane: usize,
-        query: &'a mut Q,
+        query: &'a mut Lane<'l, A>,
         enters: &'a mut [[f32; 8]; DEPTH],
     ) -> Self {
         let signs = f32x8::splat(simd, BOX_SLACK).combine(f32x8::splat(simd, -1.0));
@@ -150,7 +135,7 @@ impl<'a, S: Simd, Q: Asks> Single<'a, S, Q> {
     }
 }
 
-impl<S: Simd, Q: Asks> Walker for Single<'_, S, Q> {
+impl<S: Simd, A: Answers> Walker for Single<'_, '_, S, A> {
     #[inline(always)]
     fn meet(&mut self, node: &WideNode, depth: usize) -> u32 {
         let simd = self.simd;
@@ -197,7 +182,7 @@ fn cross_leaf<S: Simd>(
     rays: &LocalPacket,
     lane: usize,
     triangles: PrimitiveRange,
-    query: &mut impl Asks,
+    query: &mut Lane<'_, impl Answers>,
 ) -> bool {
     let (mut first, mut count) = (place.instance.first_triangle + triangles.first(), triangles.count());
     let mut is_nearer = false;
@@ -217,7 +202,7 @@ fn cross_four<S: Simd>(
     lane: usize,
     first: u32,
     count: u32,
-    query: &mut impl Asks,
+    query: &mut Lane<'_, impl Answers>,
 ) -> bool {
     let triangles = &place.scene.triangles[first as usize..];
     let mut few = [Triangle::zeroed(); 4];

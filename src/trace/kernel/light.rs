@@ -8,8 +8,7 @@ use super::intersect::max_component;
 use super::math::{dot3, length3, max, min};
 use super::offset::leave;
 use super::surface::{GRAZING, Surface};
-use super::traverse::Traverse;
-use crate::device::layout::{FrameParams, LIGHT_DIRECTIONAL, LIGHT_SPOT, Light, Ray};
+use crate::device::layout::{LIGHT_DIRECTIONAL, LIGHT_SPOT, Light, Ray};
 
 /// Light as it arrives at a point.
 struct Arrival {
@@ -19,30 +18,35 @@ struct Arrival {
     irradiance: Vec3,
 }
 
-/// What a surface reflects to the viewer of all lights, shadows included.
-pub(crate) fn direct_light<'a>(
-    rays: &mut impl Traverse<'a>,
-    params: &FrameParams,
-    surface: &Surface,
-    to_viewer: Vec3,
-) -> Vec3 {
-    let mut sum = Vec3::ZERO;
-    let lights = rays.scene().lights;
-    for light in lights.iter().take(params.light_count as usize) {
-        let arrival = light_at(light, surface.position);
-        let facing = dot3(surface.geometric_normal, arrival.direction);
-        if facing < GRAZING || max_component(arrival.irradiance) <= 0.0 {
-            continue;
-        }
-        let reflected = reflect_light(surface, to_viewer, arrival.direction) * arrival.irradiance;
-        if max_component(reflected) <= 0.0 {
-            continue;
-        }
-        let to_light = shadow_ray(light, leave(surface, arrival.direction));
-        let visible = rays.transmittance(&to_light, params.ray_mask) * terminator(surface, arrival.direction, facing);
-        sum += reflected * visible;
+/// A surface that a light shines on unless something is in between.
+pub(crate) struct Lit {
+    /// From the surface to the light.
+    pub ray: Ray,
+    /// What goes to the viewer of light that nothing stops.
+    reflected: Vec3,
+    terminator: f32,
+}
+
+impl Lit {
+    /// What goes to the viewer where so much light gets through along the ray.
+    pub(crate) fn seen(&self, transmittance: Vec3) -> Vec3 {
+        self.reflected * (transmittance * self.terminator)
     }
-    sum
+}
+
+/// `None` where nothing of that light goes to the viewer.
+pub(super) fn lit(light: &Light, surface: &Surface, to_viewer: Vec3) -> Option<Lit> {
+    let arrival = light_at(light, surface.position);
+    let facing = dot3(surface.geometric_normal, arrival.direction);
+    if facing < GRAZING || max_component(arrival.irradiance) <= 0.0 {
+        return None;
+    }
+    let reflected = reflect_light(surface, to_viewer, arrival.direction) * arrival.irradiance;
+    if max_component(reflected) <= 0.0 {
+        return None;
+    }
+    let ray = shadow_ray(light, leave(surface, arrival.direction));
+    Some(Lit { ray, reflected, terminator: terminator(surface, arrival.direction, facing) })
 }
 
 fn light_at(light: &Light, point: Vec3) -> Arrival {

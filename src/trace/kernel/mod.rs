@@ -29,7 +29,8 @@ pub(crate) use traverse::{
 pub(crate) use walk::Counter;
 #[cfg(feature = "gpu")]
 pub(crate) use whitted::most_rays;
-pub(crate) use whitted::{MAX_DEPTH, Pixel, render_pixel};
+pub(crate) use light::Lit;
+pub(crate) use whitted::{MAX_DEPTH, Met, Path, Pixel, render_pixel, shining};
 pub(crate) use wide::extent;
 
 use crate::device::DeviceArrays;

@@ -16,9 +16,10 @@
 
 use glam::{Vec3, Vec4, Vec4Swizzles as _};
 
+use super::KernelScene;
 use super::brdf::{divide_light, refracted_cosine, sharpness};
 use super::intersect::max_component;
-use super::light::direct_light;
+use super::light::{Lit, lit};
 use super::math::dot3;
 use super::offset::leave;
 use super::sky::{sky_ambient, sky_blurred, sky_radiance};
@@ -26,7 +27,7 @@ use super::surface::{Surface, raise, surface_at, unit_or};
 use super::traverse::Traverse;
 #[cfg(feature = "gpu")]
 use crate::compile::Needs;
-use crate::device::layout::{FrameParams, Hit, MaterialFlags, NONE, Ray};
+use crate::device::layout::{FrameParams, Hit, Light, MaterialFlags, NONE, Ray};
 
 /// The most reflections and refractions of a path, whatever `max_depth` says: [`View::MAX_DEPTH`](crate::View::MAX_DEPTH).
 pub(crate) const MAX_DEPTH: u32 = 8;
@@ -84,107 +85,164 @@ struct PendingRay {
     throughput: Vec3,
 }
 
-struct Paths {
+/// A pixel that is being rendered: what it has seen so far, and the rays that wait.
+pub(crate) struct Path {
+    pixel: Pixel,
     color: Vec3,
+    /// Rays that have been traced.
+    traced: u32,
     pending_count: usize,
+    /// The ray that is being traced is kept behind those that wait.
     pending: [PendingRay; MAX_PENDING],
 }
 
-/// `primary` goes through the pixel and hits `hit`: neighbours find that out together.
-pub(crate) fn render_pixel<'a>(rays: &mut impl Traverse<'a>, params: &FrameParams, primary: &Ray, hit: Hit) -> Pixel {
-    let mut pixel = Pixel::NOTHING;
-    let [origin, direction] = [primary.origin, primary.direction].map(Vec3::from_array);
-    let first = PendingRay { origin, depth: 0, direction, layers: 0, throughput: Vec3::ONE };
-    let mut paths = Paths { color: Vec3::ZERO, pending_count: 1, pending: [first; MAX_PENDING] };
-    let mut traced = 0;
-    while traced < MAX_RAYS && paths.pending_count > 0 {
-        paths.pending_count -= 1;
-        let ray = paths.pending[paths.pending_count];
-        let world_ray =
-            Ray { origin: ray.origin.to_array(), t_min: 0.0, direction: ray.direction.to_array(), t_max: f32::MAX };
-        let hit = if traced == 0 { hit } else { rays.closest_hit(&world_ray, params.ray_mask) };
-        if hit.instance == NONE {
-            paths.color += ray.throughput * sky_radiance(params, ray.direction);
-        } else {
-            let surface = surface_at(rays.scene(), &hit, ray.direction);
-            if traced == 0 {
-                let [slot, version] = rays.scene().instances[hit.instance as usize].node;
-                pixel.normal = surface.normal;
-                pixel.depth = hit.t;
-                pixel.ids = [slot, version, hit.primitive, hit.instance];
-            }
-            shade(rays, params, &mut paths, &ray, &surface);
+/// A surface that a ray of a path has met.
+pub(crate) struct Met {
+    ray: PendingRay,
+    surface: Surface,
+}
+
+impl Met {
+    /// `None` where nothing of that light goes back along the ray.
+    pub(crate) fn lit(&self, light: &Light) -> Option<Lit> {
+        if self.surface.flags.contains(MaterialFlags::UNLIT) {
+            return None;
         }
-        traced += 1;
-    }
-    // Rays beyond the limit see the sky.
-    for ray in &paths.pending[..paths.pending_count] {
-        paths.color += ray.throughput * sky_radiance(params, ray.direction);
-    }
-    pixel.color = paths.color.extend(1.0);
-    pixel
-}
-
-/// Adds what the surface sends back along the ray, and the rays that must be traced to know the rest. What lies behind a
-/// blended surface comes last, so that nothing of this surface waits while it is traced: see [`MAX_PENDING`].
-fn shade<'a>(
-    rays: &mut impl Traverse<'a>,
-    params: &FrameParams,
-    paths: &mut Paths,
-    ray: &PendingRay,
-    surface: &Surface,
-) {
-    // 1. Alpha divides the light between what lies behind and the surface.
-    let mut throughput = ray.throughput;
-    if surface.flags.contains(MaterialFlags::BLEND) {
-        let alpha = surface.base_color.w;
-        let origin = leave(surface, ray.direction);
-        let behind = PendingRay { origin, layers: ray.layers + 1, throughput: throughput * (1.0 - alpha), ..*ray };
-        follow(params, paths, behind);
-        throughput *= alpha;
-    }
-    if surface.flags.contains(MaterialFlags::UNLIT) {
-        paths.color += throughput * surface.base_color.xyz();
-        return;
-    }
-
-    // 2. Light from the surface itself, from lights, and from the sky.
-    let to_viewer = -ray.direction;
-    let cosine = dot3(surface.normal, to_viewer);
-    let eta = eta_at(surface);
-    let shares = divide_light(surface, cosine, eta);
-    let mirrored = raise(surface.normal * (2.0 * cosine) - to_viewer, surface.geometric_normal);
-    let sharp = sharpness(surface.roughness);
-    let mut radiance = surface.emissive + shares.matt * sky_ambient(params, surface.normal);
-    radiance += shares.mirrored * (sky_blurred(params, mirrored, surface.roughness) * (1.0 - sharp));
-    radiance += direct_light(rays, params, surface, to_viewer);
-    paths.color += throughput * radiance;
-
-    // 3. Light through the surface, and light mirrored by it.
-    let depth = ray.depth + 1;
-    if surface.transmission > 0.0 {
-        let direction = refracted_direction(surface, ray.direction, cosine, eta);
-        let origin = leave(surface, direction);
-        let throughput = throughput * shares.refracted;
-        follow(params, paths, PendingRay { origin, depth, direction, layers: 0, throughput });
-    }
-    if sharp > 0.0 {
-        let origin = leave(surface, mirrored);
-        let throughput = throughput * (shares.mirrored * sharp);
-        follow(params, paths, PendingRay { origin, depth, direction: mirrored, layers: 0, throughput });
+        lit(light, &self.surface, -self.ray.direction)
     }
 }
 
-/// Lets a ray wait to be traced; one that is too deep or carries too little sees the sky at once.
-fn follow(params: &FrameParams, paths: &mut Paths, ray: PendingRay) {
-    let is_deep = ray.depth > params.max_depth.min(MAX_DEPTH) || ray.layers > MAX_LAYERS;
-    let count = paths.pending_count;
-    if is_deep || max_component(ray.throughput) < MIN_THROUGHPUT || count == MAX_PENDING {
-        paths.color += ray.throughput * sky_radiance(params, ray.direction);
-        return;
+/// `primary` goes through the pixel.
+pub(crate) fn render_pixel<'a>(rays: &mut impl Traverse<'a>, params: &FrameParams, primary: &Ray) -> Pixel {
+    let mut path = Path::default();
+    path.start(primary);
+    let scene = rays.scene();
+    while let Some(ray) = path.next_ray() {
+        let hit = rays.closest_hit(&ray, params.ray_mask);
+        let Some(met) = path.meet(scene, params, &hit) else { continue };
+        let lit = shining(scene, params).iter().filter_map(|light| met.lit(light));
+        let light = lit.fold(Vec3::ZERO, |sum, lit| sum + lit.seen(rays.transmittance(&lit.ray, params.ray_mask)));
+        path.shade(params, &met, light);
     }
-    paths.pending[count] = ray;
-    paths.pending_count = count + 1;
+    path.finish(params)
+}
+
+/// The lights that are on.
+pub(crate) fn shining<'a>(scene: &KernelScene<'a>, params: &FrameParams) -> &'a [Light] {
+    &scene.lights[..scene.lights.len().min(params.light_count as usize)]
+}
+
+impl Default for Path {
+    /// Nothing is to be traced.
+    fn default() -> Self {
+        let nowhere =
+            PendingRay { origin: Vec3::ZERO, depth: 0, direction: Vec3::ZERO, layers: 0, throughput: Vec3::ZERO };
+        Self { pixel: Pixel::NOTHING, color: Vec3::ZERO, traced: 0, pending_count: 0, pending: [nowhere; MAX_PENDING] }
+    }
+}
+
+impl Path {
+    /// Forgets all and begins with a ray through the pixel.
+    pub(crate) fn start(&mut self, primary: &Ray) {
+        let [origin, direction] = [primary.origin, primary.direction].map(Vec3::from_array);
+        (self.pixel, self.color, self.traced) = (Pixel::NOTHING, Vec3::ZERO, 0);
+        self.pending[0] = PendingRay { origin, depth: 0, direction, layers: 0, throughput: Vec3::ONE };
+        self.pending_count = 1;
+    }
+
+    /// The ray that is to be traced now. None where all is known.
+    pub(crate) fn next_ray(&mut self) -> Option<Ray> {
+        if self.traced == MAX_RAYS {
+            return None;
+        }
+        self.pending_count = self.pending_count.checked_sub(1)?;
+        let PendingRay { origin, direction, .. } = self.pending[self.pending_count];
+        Some(Ray { origin: origin.to_array(), t_min: 0.0, direction: direction.to_array(), t_max: f32::MAX })
+    }
+
+    /// The ray has hit that: either the sky, which is seen at once, or a surface.
+    pub(crate) fn meet(&mut self, scene: &KernelScene<'_>, params: &FrameParams, hit: &Hit) -> Option<Met> {
+        let ray = self.pending[self.pending_count];
+        self.traced += 1;
+        if hit.instance == NONE {
+            self.color += ray.throughput * sky_radiance(params, ray.direction);
+            return None;
+        }
+        let surface = surface_at(scene, hit, ray.direction);
+        if self.traced == 1 {
+            let [slot, version] = scene.instances[hit.instance as usize].node;
+            self.pixel.normal = surface.normal;
+            self.pixel.depth = hit.t;
+            self.pixel.ids = [slot, version, hit.primitive, hit.instance];
+        }
+        Some(Met { ray, surface })
+    }
+
+    /// Adds what the surface sends back along the ray, `light` of it from lights, and the rays that must be traced to know the rest. What lies behind a
+    /// blended surface comes last, so that nothing of this surface waits while it is traced: see [`MAX_PENDING`].
+    pub(crate) fn shade(&mut self, params: &FrameParams, Met { ray, surface }: &Met, light: Vec3) {
+        // 1. Alpha divides the light between what lies behind and the surface.
+        let mut throughput = ray.throughput;
+        if surface.flags.contains(MaterialFlags::BLEND) {
+            let alpha = surface.base_color.w;
+            let origin = leave(surface, ray.direction);
+            let behind = PendingRay { origin, layers: ray.layers + 1, throughput: throughput * (1.0 - alpha), ..*ray };
+            self.follow(params, behind);
+            throughput *= alpha;
+        }
+        if surface.flags.contains(MaterialFlags::UNLIT) {
+            self.color += throughput * surface.base_color.xyz();
+            return;
+        }
+
+        // 2. Light from the surface itself, from lights, and from the sky.
+        let to_viewer = -ray.direction;
+        let cosine = dot3(surface.normal, to_viewer);
+        let eta = eta_at(surface);
+        let shares = divide_light(surface, cosine, eta);
+        let mirrored = raise(surface.normal * (2.0 * cosine) - to_viewer, surface.geometric_normal);
+        let sharp = sharpness(surface.roughness);
+        let mut radiance = surface.emissive + shares.matt * sky_ambient(params, surface.normal);
+        if sharp < 1.0 {
+            radiance += shares.mirrored * (sky_blurred(params, mirrored, surface.roughness) * (1.0 - sharp));
+        }
+        radiance += light;
+        self.color += throughput * radiance;
+
+        // 3. Light through the surface, and light mirrored by it.
+        let depth = ray.depth + 1;
+        if surface.transmission > 0.0 {
+            let direction = refracted_direction(surface, ray.direction, cosine, eta);
+            let origin = leave(surface, direction);
+            let throughput = throughput * shares.refracted;
+            self.follow(params, PendingRay { origin, depth, direction, layers: 0, throughput });
+        }
+        if sharp > 0.0 {
+            let origin = leave(surface, mirrored);
+            let throughput = throughput * (shares.mirrored * sharp);
+            self.follow(params, PendingRay { origin, depth, direction: mirrored, layers: 0, throughput });
+        }
+    }
+
+    /// Lets a ray wait to be traced; one that is too deep or carries too little sees the sky at once.
+    fn follow(&mut self, params: &FrameParams, ray: PendingRay) {
+        let is_deep = ray.depth > params.max_depth.min(MAX_DEPTH) || ray.layers > MAX_LAYERS;
+        let count = self.pending_count;
+        if is_deep || max_component(ray.throughput) < MIN_THROUGHPUT || count == MAX_PENDING {
+            self.color += ray.throughput * sky_radiance(params, ray.direction);
+            return;
+        }
+        self.pending[count] = ray;
+        self.pending_count = count + 1;
+    }
+
+    /// Rays beyond the limit see the sky.
+    pub(crate) fn finish(&mut self, params: &FrameParams) -> Pixel {
+        for ray in &self.pending[..self.pending_count] {
+            self.color += ray.throughput * sky_radiance(params, ray.direction);
+        }
+        Pixel { color: self.color.extend(1.0), ..self.pixel }
+    }
 }
 
 /// Index of refraction of the viewer's side over that of the other, 0 where that is infinite.

@@ -1,0 +1,114 @@
+//! Pixels that are rendered together: the next ray of each path, then the shadow rays to each light.
+
+use glam::Vec3;
+
+use super::rays::Rays;
+use crate::device::layout::{FrameParams, Hit, Light, Ray};
+use crate::trace::kernel::{KernelScene, Lit, Met, Path, Pixel, camera_ray, shining};
+
+/// Pixels along the side of a block whose primary rays are a packet.
+const BLOCK: usize = 4;
+
+/// Renders tile after tile. Rays of paths that go on stand beside each other, so that packets are full for as long as there are any.
+pub(super) struct TileTracer<'a> {
+    scene: &'a KernelScene<'a>,
+    tracer: Rays<'a>,
+    paths: Vec<Path>,
+    /// The rays that are traced together, and which paths, or surfaces, they belong to.
+    rays: Vec<Ray>,
+    owners: Vec<usize>,
+    hits: Vec<Hit>,
+    surfaces: Vec<Unshaded>,
+    lit: Vec<Lit>,
+    transmittances: Vec<Vec3>,
+}
+
+/// A surface that the ray of a path has met, and that waits for its light.
+struct Unshaded {
+    path: usize,
+    met: Met,
+    /// What goes back along the ray of the lights so far.
+    light: Vec3,
+}
+
+impl<'a> TileTracer<'a> {
+    pub(super) fn new(scene: &'a KernelScene<'a>) -> Self {
+        Self {
+            scene,
+            tracer: Rays::new(scene),
+            paths: Vec::new(),
+            rays: Vec::new(),
+            owners: Vec::new(),
+            hits: Vec::new(),
+            surfaces: Vec::new(),
+            lit: Vec::new(),
+            transmittances: Vec::new(),
+        }
+    }
+
+    /// Renders the pixels of a tile, row by row.
+    pub(super) fn render(&mut self, params: &FrameParams, [left, top]: [u32; 2], columns: u32, pixels: &mut [Pixel]) {
+        let rows = pixels.len() as u32 / columns;
+        let blocks = (0..rows).step_by(BLOCK).flat_map(|y| (0..columns).step_by(BLOCK).map(move |x| [x, y]));
+        let places = blocks.flat_map(|[x, y]| {
+            let ends = [x + BLOCK as u32, y + BLOCK as u32];
+            (y..ends[1].min(rows)).flat_map(move |y| (x..ends[0].min(columns)).map(move |x| [x, y]))
+        });
+        // Paths are large: those of the last tile are used again.
+        self.paths.resize_with(pixels.len(), Path::default);
+        for ([x, y], path) in places.clone().zip(&mut self.paths) {
+            path.start(&camera_ray(params, left + x, top + y));
+        }
+        while self.trace(params) {
+            for light in shining(self.scene, params) {
+                self.shine(params, light);
+            }
+            for Unshaded { path, met, light } in &self.surfaces {
+                self.paths[*path].shade(params, met, *light);
+            }
+        }
+        for ([x, y], path) in places.zip(&mut self.paths) {
+            pixels[(y * columns + x) as usize] = path.finish(params);
+        }
+    }
+
+    /// Traces a ray of each path that has one; says whether there were any.
+    fn trace(&mut self, params: &FrameParams) -> bool {
+        self.rays.clear();
+        self.owners.clear();
+        for (index, path) in self.paths.iter_mut().enumerate() {
+            if let Some(ray) = path.next_ray() {
+                self.rays.push(ray);
+                self.owners.push(index);
+            }
+        }
+        self.surfaces.clear();
+        self.hits.resize(self.rays.len(), Hit::MISS);
+        self.tracer.closest_hits(&self.rays, params.ray_mask, &mut self.hits);
+        for (&path, hit) in self.owners.iter().zip(&self.hits) {
+            if let Some(met) = self.paths[path].meet(self.scene, params, hit) {
+                self.surfaces.push(Unshaded { path, met, light: Vec3::ZERO });
+            }
+        }
+        !self.rays.is_empty()
+    }
+
+    /// Adds what a light sends to the viewer.
+    fn shine(&mut self, params: &FrameParams, light: &Light) {
+        self.rays.clear();
+        self.owners.clear();
+        self.lit.clear();
+        for (index, surface) in self.surfaces.iter().enumerate() {
+            if let Some(lit) = surface.met.lit(light) {
+                self.rays.push(lit.ray);
+                self.owners.push(index);
+                self.lit.push(lit);
+            }
+        }
+        self.transmittances.resize(self.rays.len(), Vec3::ONE);
+        self.tracer.transmittances(&self.rays, params.ray_mask, &mut self.transmittances);
+        for ((&surface, lit), &transmittance) in self.owners.iter().zip(&self.lit).zip(&self.transmittances) {
+            self.surfaces[surface].light += lit.seen(transmittance);
+        }
+    }
+}
