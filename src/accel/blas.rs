@@ -11,7 +11,6 @@ use super::sah::{self, Cuts, SahParams};
 use super::stats::Stats;
 use super::tree::{Extent, Reference, TASK_MINIMUM};
 use super::validate::{StructureError, check_nodes};
-use super::wide::collapse;
 use crate::Result;
 use crate::device::layout::{Node, PrimitiveRange, Triangle, WideNode};
 use crate::graph::{Geometry, Quality, Structure};
@@ -99,10 +98,15 @@ impl Blas {
         };
         let flat = build_flat(geometry, references, &extent, params.structure, &sah_params).unwrap_or_default();
         let triangles = flat.order.par_iter().with_min_len(CHUNK).map(|&p| triangle(geometry, p)).collect();
-        let wide_nodes = collapse(&flat.binary);
         let (bounds, repeats) = (extent.aabb(), flat.order.len() > count);
-        let blas =
-            Self { nodes: flat.nodes, wide_nodes, triangles, bounds, repeats, triangle_cost: params.triangle_cost };
+        let blas = Self {
+            nodes: flat.nodes,
+            wide_nodes: flat.wide_nodes,
+            triangles,
+            bounds,
+            repeats,
+            triangle_cost: params.triangle_cost,
+        };
         debug_assert_eq!(blas.validate(), Ok(()));
         Ok(blas)
     }

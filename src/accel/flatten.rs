@@ -1,12 +1,13 @@
 //! From a build tree to device nodes: the one place where depth-first order and escape indices are set.
 
-use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::sync::atomic::{AtomicU8, AtomicU64, Ordering::Relaxed};
 
 use glam::{Vec3, Vec4, Vec4Swizzles};
 
 use super::sah::{MAX_DEPTH, SahParams};
 use super::tree::{BuildNode, BuildTree, Content, LaneBox};
-use crate::device::layout::{NONE, Node, PrimitiveRange};
+use super::wide::{LEAF_SIZE, collapse};
+use crate::device::layout::{NONE, Node, PrimitiveRange, WideNode};
 
 /// No inner node of a [`Blas`](super::Blas) has more children.
 pub const MAX_CHILDREN: usize = 8;
@@ -21,8 +22,8 @@ const TASK_DEPTH: u32 = 12;
 pub(super) struct Flat {
     /// In depth-first order.
     pub(super) nodes: Vec<Node>,
-    /// The same with no inner node left out.
-    pub(super) binary: Vec<Node>,
+    /// The same, eight children a node.
+    pub(super) wide_nodes: Vec<WideNode>,
     /// The primitives in leaf order: a leaf's range counts in it.
     pub(super) order: Vec<u32>,
 }
@@ -42,30 +43,43 @@ pub(super) fn flatten(tree: &BuildTree, params: &SahParams) -> Option<Flat> {
     }
     let parts = bytemuck::zeroed_vec(tree.nodes.len());
     let task_depth = if tree.nodes.len() < PARALLEL_MINIMUM { 0 } else { TASK_DEPTH };
-    let flattener = Flattener { tree, params, parts, task_depth };
-    let whole = flattener.plan(0, 0)?.part;
-    flattener.parts[0].store(Part { tops: 1, ..whole }.pack(), Relaxed);
+    let heights = bytemuck::zeroed_vec(tree.nodes.len());
+    let flattener = Flattener { tree, params, parts, heights, task_depth };
+    let plan = flattener.plan(0, 0)?;
+    let whole = plan.part;
+    flattener.store(0, Part { tops: 1, ..whole }, plan.height);
     let mut order = bytemuck::zeroed_vec(whole.primitives as usize);
     let mut nodes = bytemuck::zeroed_vec(whole.nodes as usize);
     let place = Place { node: 0, primitive: 0, end: whole.nodes, depth: 0 };
     let emit = || flattener.emit(0, place, &mut nodes, &mut order);
-    let ((), binary) = flattener.join(0, emit, || flattener.binary());
-    Some(Flat { nodes, binary, order })
+    let ((), wide_nodes) = flattener.join(0, emit, || collapse(&flattener));
+    Some(Flat { nodes, wide_nodes, order })
 }
 
-struct Flattener<'a> {
+/// A tree, and what becomes of it.
+pub(super) struct Flattener<'a> {
     tree: &'a BuildTree,
     params: &'a SahParams,
     /// What becomes of the subtree of each node, packed. Atomic for the threads that plan: they know which subtree is whose.
     parts: Vec<AtomicU64>,
+    /// See [`height`](Self::height).
+    heights: Vec<AtomicU8>,
     task_depth: u32,
+}
+
+/// What is below a node of the tree.
+#[derive(Clone, Copy)]
+pub(super) struct Subtree {
+    pub(super) node: usize,
+    /// The first of its primitives in the order of leaves.
+    pub(super) first: u32,
 }
 
 /// What a subtree gives.
 #[derive(Clone, Copy)]
-struct Part {
-    nodes: u32,
-    primitives: u32,
+pub(super) struct Part {
+    pub(super) nodes: u32,
+    pub(super) primitives: u32,
     /// How many of the nodes have none of the others above them: more than one where the root is left out.
     tops: u32,
 }
@@ -89,6 +103,8 @@ struct Plan {
     area: f64,
     /// Of all that is below the root, in fetches times area.
     cost: f64,
+    /// See [`Flattener::height`].
+    height: u8,
 }
 
 impl Plan {
@@ -111,12 +127,6 @@ impl Plan {
     }
 }
 
-/// What is to be done on the way through a tree.
-enum Step {
-    Write(usize),
-    Close(usize),
-}
-
 /// Where a subtree goes.
 #[derive(Clone, Copy)]
 struct Place {
@@ -136,6 +146,7 @@ impl Flattener<'_> {
             part: Part { nodes: 1, primitives, tops: 0 },
             area,
             cost: area * f64::from(primitives) * f64::from(self.params.primitive_cost),
+            height: 0,
         };
         let child = match node.content() {
             Content::Primitives(range) => return Some(leaf(range.len() as u32)),
@@ -146,10 +157,14 @@ impl Flattener<'_> {
         }
         let plan = |child| self.plan(child, depth + 1);
         let plans = self.join(depth, || plan(child), || plan(child + 1));
-        let mut whole = Plan { part: Part { nodes: 1, primitives: 0, tops: 2 }, area, cost: 0.0 };
+        let mut whole = Plan { part: Part { nodes: 1, primitives: 0, tops: 2 }, area, cost: 0.0, height: 0 };
         for (child, plan) in [child, child + 1].into_iter().zip([plans.0?, plans.1?]) {
             let part = whole.add(plan);
-            self.parts[child].store(part.pack(), Relaxed);
+            self.store(child, part, plan.height);
+            whole.height = whole.height.max(plan.height + 1);
+        }
+        if whole.part.primitives <= LEAF_SIZE {
+            whole.height = 0;
         }
         let leaf = self.primitives_of_leaf(index, &whole).map(leaf);
         leaf.filter(|leaf| leaf.cost <= whole.cost).or(Some(whole))
@@ -206,37 +221,37 @@ impl Flattener<'_> {
         }
     }
 
-    /// All nodes, none left out. Depth first with a stack of what is to come second.
-    fn binary(&self) -> Vec<Node> {
-        let mut nodes: Vec<Node> = Vec::with_capacity(2 * self.part(0).nodes as usize);
-        let mut primitive = 0;
-        // A node, or an inner one of which all has been written: its place.
-        let mut stack = vec![Step::Write(0)];
-        while let Some(step) = stack.pop() {
-            match step {
-                Step::Close(place) => nodes[place].escape_index = nodes.len() as u32,
-                Step::Write(index) => {
-                    let (node, part) = (&self.tree.nodes[index], self.part(index));
-                    let (min, max) = padded(node.min, node.max);
-                    let mut primitives = PrimitiveRange::INNER;
-                    match node.content() {
-                        Content::Children(child) if part.nodes > 1 => {
-                            let [first, second] = self.larger_first(child);
-                            stack.extend([Step::Close(nodes.len()), Step::Write(second), Step::Write(first)]);
-                        }
-                        _ => {
-                            primitives = PrimitiveRange::leaf(primitive, part.primitives);
-                            primitive += part.primitives;
-                        }
-                    }
-                    let escape_index = nodes.len() as u32 + 1;
-                    nodes.push(Node { min: min.to_array(), escape_index, max: max.to_array(), primitives });
-                }
+    /// All of the tree.
+    pub(super) fn root(&self) -> Subtree {
+        Subtree { node: 0, first: 0 }
+    }
+
+    /// Of an inner node, in the order in which they are written.
+    pub(super) fn children(&self, subtree: Subtree) -> [Subtree; 2] {
+        match self.tree.nodes[subtree.node].content() {
+            Content::Primitives(_) => [subtree; 2],
+            Content::Children(child) => {
+                let [first, second] = self.larger_first(child);
+                [(first, 0), (second, self.part(first).primitives)]
+                    .map(|(node, before)| Subtree { node, first: subtree.first + before })
             }
         }
-        let end = nodes.len() as u32;
-        nodes.iter_mut().filter(|node| node.escape_index == end).for_each(|node| node.escape_index = NONE);
-        nodes
+    }
+
+    /// The least and greatest corner of a node's box.
+    pub(super) fn corners(&self, node: usize) -> [Vec3; 2] {
+        let BuildNode { min, max, .. } = self.tree.nodes[node];
+        padded(min, max).into()
+    }
+
+    /// Half the surface of a node's box.
+    pub(super) fn half_area(&self, node: usize) -> f64 {
+        half_area(&self.tree.nodes[node])
+    }
+
+    /// Levels of inner nodes, where [few](LEAF_SIZE) primitives are a leaf.
+    pub(super) fn height(&self, node: usize) -> u8 {
+        self.heights[node].load(Relaxed)
     }
 
     /// Does both, side by side near the root.
@@ -244,7 +259,12 @@ impl Flattener<'_> {
         if depth < self.task_depth { rayon::join(a, b) } else { (a(), b()) }
     }
 
-    fn part(&self, index: usize) -> Part {
+    fn store(&self, index: usize, part: Part, height: u8) {
+        self.parts[index].store(part.pack(), Relaxed);
+        self.heights[index].store(height, Relaxed);
+    }
+
+    pub(super) fn part(&self, index: usize) -> Part {
         Part::unpack(self.parts[index].load(Relaxed))
     }
 

@@ -1,4 +1,4 @@
-//! From binary nodes to nodes of eight children with quantised boxes.
+//! From a binary tree to nodes of eight children with quantised boxes.
 //!
 //! What is opened: of the children so far the inner one with the largest box, until there are eight (I. Wald, C. Benthin,
 //! S. Boulos, *Getting Rid of Packets*, 2008). What lies deep is opened first where the depth of the result would otherwise
@@ -19,8 +19,8 @@
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use super::stats::half_area;
-use crate::device::layout::{Node, PrimitiveRange, WideNode};
+use super::flatten::{Flattener, Subtree};
+use crate::device::layout::{PrimitiveRange, WideNode};
 
 /// Wide nodes from the root to the deepest, at most: 3 levels of binary nodes each, see [`MAX_DEPTH`](super::MAX_DEPTH).
 pub const MAX_WIDE_DEPTH: usize = super::MAX_DEPTH.div_ceil(3);
@@ -29,53 +29,21 @@ pub const MAX_WIDE_DEPTH: usize = super::MAX_DEPTH.div_ceil(3);
 const MARGIN: f64 = 1.0 / (1 << 10) as f64;
 
 /// A subtree of so few triangles is a leaf: as many are tested at once.
-const LEAF_SIZE: u8 = 4;
+pub(super) const LEAF_SIZE: u32 = 4;
 
-/// Subtrees of fewer binary nodes are collapsed by one thread.
+/// Subtrees of fewer nodes are collapsed by one thread.
 const TASK_MINIMUM: usize = 1 << 12;
 
 /// Children of a wide node.
 pub(super) const WIDTH: usize = 8;
 
-/// The wide nodes of a binary hierarchy in depth-first order (the right child of an inner node is where the left one's escape
-/// index leads). O(n).
-pub(super) fn collapse(nodes: &[Node]) -> Vec<WideNode> {
-    if nodes.is_empty() {
-        return Vec::new();
-    }
-    let subtrees = subtrees(nodes);
-    Tree { nodes, subtrees: &subtrees }.emit_in_parallel(0, MAX_WIDE_DEPTH)
+/// The wide nodes of a tree in depth-first order. O(n).
+pub(super) fn collapse(tree: &Flattener<'_>) -> Vec<WideNode> {
+    Collapse { tree }.emit_in_parallel(tree.root(), MAX_WIDE_DEPTH)
 }
 
-struct Tree<'a> {
-    nodes: &'a [Node],
-    /// What lies below each node.
-    subtrees: &'a [Subtree],
-}
-
-#[derive(Clone, Copy, Default)]
-struct Subtree {
-    /// Levels of inner nodes; 0 for what becomes a leaf.
-    height: u8,
-    /// Triangles, or as many as a leaf holds and one more.
-    triangles: u8,
-    first: u32,
-}
-
-fn subtrees(nodes: &[Node]) -> Vec<Subtree> {
-    let mut subtrees = vec![Subtree::default(); nodes.len()];
-    for index in (0..nodes.len()).rev() {
-        let primitives = nodes[index].primitives;
-        subtrees[index] = if primitives == PrimitiveRange::INNER {
-            let [left, right] = children(nodes, index).map(|child| subtrees[child]);
-            let triangles = u8::min(left.triangles + right.triangles, LEAF_SIZE + 1);
-            let height = if triangles <= LEAF_SIZE { 0 } else { 1 + u8::max(left.height, right.height) };
-            Subtree { height, triangles, first: left.first }
-        } else {
-            Subtree { height: 0, triangles: primitives.count() as u8, first: primitives.first() }
-        };
-    }
-    subtrees
+struct Collapse<'a> {
+    tree: &'a Flattener<'a>,
 }
 
 /// A node whose inner children stand so many places further on.
@@ -87,22 +55,18 @@ fn moved(mut node: WideNode, by: u32) -> WideNode {
     node
 }
 
-fn children(nodes: &[Node], index: usize) -> [usize; 2] {
-    [index + 1, nodes[index + 1].escape_index as usize]
-}
-
-impl Tree<'_> {
+impl Collapse<'_> {
     /// The wide nodes of a subtree that may have `levels` levels of them, those of large children side by side. Recursion is at
     /// most [`MAX_WIDE_DEPTH`] deep.
-    fn emit_in_parallel(&self, index: usize, levels: usize) -> Vec<WideNode> {
-        let size = (self.nodes[index].escape_index as usize).min(self.nodes.len()) - index;
-        let mut wide = Vec::with_capacity(size / 8 + 1);
+    fn emit_in_parallel(&self, subtree: Subtree, levels: usize) -> Vec<WideNode> {
+        let size = self.tree.part(subtree.node).nodes as usize;
+        let mut wide = Vec::with_capacity(size / 4 + 1);
         if size < TASK_MINIMUM {
-            self.emit(index, levels, &mut wide);
+            self.emit(subtree, levels, &mut wide);
             return wide;
         }
-        let (node, inner) = self.node(index, levels);
-        let below = |child: &Option<usize>| child.map(|child| self.emit_in_parallel(child, levels - 1));
+        let (node, inner) = self.node(subtree, levels);
+        let below = |child: &Option<Subtree>| child.map(|child| self.emit_in_parallel(child, levels - 1));
         let below: Vec<Option<Vec<WideNode>>> = inner.par_iter().map(below).collect();
         wide.push(node);
         for (slot, below) in below.into_iter().enumerate().filter_map(|(slot, below)| Some((slot, below?))) {
@@ -114,8 +78,8 @@ impl Tree<'_> {
     }
 
     /// The same, appended by one thread. Returns the index of the subtree's root.
-    fn emit(&self, index: usize, levels: usize, wide: &mut Vec<WideNode>) -> u32 {
-        let (node, inner) = self.node(index, levels);
+    fn emit(&self, subtree: Subtree, levels: usize, wide: &mut Vec<WideNode>) -> u32 {
+        let (node, inner) = self.node(subtree, levels);
         let own = wide.len();
         wide.push(node);
         for (slot, child) in inner.into_iter().enumerate().filter_map(|(slot, child)| Some((slot, child?))) {
@@ -125,75 +89,85 @@ impl Tree<'_> {
     }
 
     /// A wide node, but for the indices of its inner children, and what is to become these.
-    fn node(&self, index: usize, levels: usize) -> (WideNode, [Option<usize>; WIDTH]) {
-        let mut opened = [0; WIDTH];
-        let count = self.open(index, levels, &mut opened);
-        let slots = assign_slots(self.nodes, &opened[..count]);
-        let corners = |node: usize| [self.nodes[node].min, self.nodes[node].max].map(Vec3::from_array);
-        let mut node = quantised(corners(index), &slots.map(|child| child.map(corners)));
-        for (slot, &child) in slots.iter().enumerate() {
-            let Some(Subtree { height: 0, triangles, first }) = child.map(|child| self.subtrees[child]) else {
-                continue;
-            };
-            node.children[slot] = PrimitiveRange::leaf(first, u32::from(triangles));
+    fn node(&self, subtree: Subtree, levels: usize) -> (WideNode, [Option<Subtree>; WIDTH]) {
+        let mut opened = [subtree; WIDTH];
+        let count = self.open(subtree, levels, &mut opened);
+        let slots = self.assign_slots(&opened[..count]);
+        let corners = |subtree: Subtree| self.tree.corners(subtree.node);
+        let mut node = quantised(corners(subtree), &slots.map(|child| child.map(corners)));
+        for (slot, child) in slots.iter().enumerate() {
+            if let Some(leaf) = child.filter(|child| self.tree.height(child.node) == 0) {
+                node.children[slot] = PrimitiveRange::leaf(leaf.first, self.tree.part(leaf.node).primitives);
+            }
         }
-        (node, slots.map(|child| child.filter(|&child| self.subtrees[child].height > 0)))
+        (node, slots.map(|child| child.filter(|child| self.tree.height(child.node) > 0)))
     }
 
-    /// The nodes that become children; a leaf on its own becomes its only child.
-    fn open(&self, index: usize, levels: usize, opened: &mut [usize; WIDTH]) -> usize {
-        opened[0] = index;
+    /// The subtrees that become children; a leaf on its own becomes its only child.
+    fn open(&self, subtree: Subtree, levels: usize, opened: &mut [Subtree; WIDTH]) -> usize {
+        let of = |subtree: Subtree| (usize::from(self.tree.height(subtree.node)), self.tree.half_area(subtree.node));
+        let mut heights_and_areas = [of(subtree); WIDTH];
         let mut count = 1;
         while count < WIDTH {
-            let is_inner = |&&child: &&usize| self.subtrees[child].height > 0;
-            let inner = || opened[..count].iter().filter(is_inner);
+            let inner = || (0..count).filter(|&place| heights_and_areas[place].0 > 0);
             // Those too high for the levels below must be opened; three levels of them are eight.
-            let tallest = inner().max_by_key(|&&child| self.subtrees[child].height);
-            let Some(&tallest) = tallest else { break };
-            let next = if usize::from(self.subtrees[tallest].height) > 3 * (levels - 1) {
-                tallest
-            } else {
-                let area = |child: &usize| half_area(&self.nodes[*child]);
-                *inner().max_by(|a, b| area(a).total_cmp(&area(b))).unwrap_or(&tallest)
-            };
-            let [left, right] = children(self.nodes, next);
-            let place = opened[..count].iter().position(|&child| child == next).unwrap_or_default();
-            opened[place] = left;
-            opened[count] = right;
+            let Some(tallest) = inner().max_by_key(|&place| heights_and_areas[place].0) else { break };
+            let largest = || inner().max_by(|&a, &b| heights_and_areas[a].1.total_cmp(&heights_and_areas[b].1));
+            let is_too_high = heights_and_areas[tallest].0 > 3 * (levels - 1);
+            let next = if is_too_high { tallest } else { largest().unwrap_or(tallest) };
+            let children = self.tree.children(opened[next]);
+            for (place, child) in [next, count].into_iter().zip(children) {
+                opened[place] = child;
+                heights_and_areas[place] = of(child);
+            }
             count += 1;
         }
         count
     }
-}
 
-/// Gives each child the slot whose corner it is nearest to, the most decided first.
-fn assign_slots(nodes: &[Node], opened: &[usize]) -> [Option<usize>; WIDTH] {
-    let centers =
-        opened.iter().map(|&child| Vec3::from_array(nodes[child].min) * 0.5 + Vec3::from_array(nodes[child].max) * 0.5);
-    let mut places = [Vec3::ZERO; WIDTH];
-    let mut mean = Vec3::ZERO;
-    for (place, center) in places.iter_mut().zip(centers) {
-        *place = center;
-        mean += center / opened.len() as f32;
-    }
-    let mut slots = [None; WIDTH];
-    let mut waiting = (1_u32 << opened.len()) - 1;
-    while waiting != 0 {
-        let mut best = (f32::NEG_INFINITY, 0, 0);
-        for i in (0..opened.len()).filter(|i| waiting >> i & 1 != 0) {
-            for slot in (0..WIDTH).filter(|&slot| slots[slot].is_none()) {
-                let corner = Vec3::from_array([0, 1, 2].map(|axis| if slot >> axis & 1 != 0 { 1.0 } else { -1.0 }));
-                let score = (places[i] - mean).dot(corner);
-                if score > best.0 || best.0 == f32::NEG_INFINITY {
-                    best = (score, i, slot);
+    /// Gives each child the slot whose corner it is nearest to, the most decided first.
+    fn assign_slots(&self, opened: &[Subtree]) -> [Option<Subtree>; WIDTH] {
+        let mut places = [Vec3::ZERO; WIDTH];
+        let mut mean = Vec3::ZERO;
+        for (place, child) in places.iter_mut().zip(opened) {
+            let [min, max] = self.tree.corners(child.node);
+            *place = min * 0.5 + max * 0.5;
+            mean += *place / opened.len() as f32;
+        }
+        let mut slots = [None; WIDTH];
+        let mut free = u8::MAX;
+        // For each child the free slot that suits it best.
+        let mut best: [(f32, usize); WIDTH] = std::array::from_fn(|i| best_slot(places[i] - mean, free));
+        let mut is_waiting = [true; WIDTH];
+        for _ in 0..opened.len() {
+            let waiting = (0..opened.len()).filter(|&i| is_waiting[i]);
+            let Some(i) = waiting.max_by(|&a, &b| best[a].0.total_cmp(&best[b].0)) else { break };
+            let slot = best[i].1;
+            slots[slot] = Some(opened[i]);
+            is_waiting[i] = false;
+            free &= !(1 << slot);
+            for j in 0..opened.len() {
+                if is_waiting[j] && best[j].1 == slot {
+                    best[j] = best_slot(places[j] - mean, free);
                 }
             }
         }
-        let (_, i, slot) = best;
-        slots[slot] = Some(opened[i]);
-        waiting &= !(1 << i);
+        slots
     }
-    slots
+}
+
+/// Of the slots whose bits are set the one whose corner is farthest in a direction, and how far.
+fn best_slot(direction: Vec3, free: u8) -> (f32, usize) {
+    let [x, y, z] = direction.to_array();
+    let mut best = (f32::NEG_INFINITY, free.trailing_zeros() as usize % WIDTH);
+    for slot in (0..WIDTH).filter(|slot| free >> slot & 1 != 0) {
+        let along = |axis: usize, d: f32| if slot >> axis & 1 != 0 { d } else { -d };
+        let score = along(0, x) + along(1, y) + along(2, z);
+        if score > best.0 {
+            best = (score, slot);
+        }
+    }
+    best
 }
 
 /// A wide node without its children's indices: the least and greatest corner of its box, and of those of its children.

@@ -179,7 +179,7 @@ fn measure_scene(
             let arrays = arrays(executor);
             contenders.push(Box::new(move || executor.trace(arrays, &request)));
         }
-        let times = medians(if options.quick { 3 } else { 5 }, &mut contenders);
+        let times = medians(3, &mut contenders);
         drop(contenders);
         let truth = executors[0].image()?;
         let counts = frame::counts(&executors, &request, arrays);

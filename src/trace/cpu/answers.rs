@@ -68,7 +68,8 @@ pub(super) trait Answers {
     fn new<S: Simd>(t_max: f32x16<S>) -> Self;
 
     /// Of these rays.
-    fn hits<S: Simd>(&self, simd: S, scene: &KernelScene<'_>, rays: &[Ray; LANES], ray_mask: u32) -> [Self::Hit; LANES];
+    fn hits<S: Simd>(&self, simd: S, scene: &KernelScene<'_>, rays: &[Ray; LANES], ray_mask: u32)
+    -> [Self::Hit; LANES];
 
     /// How far each ray goes.
     fn t_max(&self) -> &Numbers;

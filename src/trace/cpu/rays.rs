@@ -81,7 +81,9 @@ impl<'a> Rays<'a> {
     pub(super) fn transmittances(&mut self, rays: &[Ray], ray_mask: u32, light: &mut [Vec3]) {
         match self.lanes {
             Some(level) => self.ask::<Transmittances>(level, rays, ray_mask, light),
-            None => light.iter_mut().zip(rays).for_each(|(light, ray)| *light = transmittance(self.scene, ray, ray_mask)),
+            None => {
+                light.iter_mut().zip(rays).for_each(|(light, ray)| *light = transmittance(self.scene, ray, ray_mask))
+            }
         }
     }
 

@@ -21,6 +21,7 @@ pub(crate) use intersect::{
     BOX_SLACK, CORNER_TOLERANCE, EDGE_TOLERANCE, LARGE, LEAST_COMPONENT, LEAST_SHARE, SlabRay, cross_triangle,
     max_component, meets_box, shear_ray, slab_ray,
 };
+pub(crate) use light::Lit;
 pub(crate) use material::is_hole;
 pub(crate) use traverse::{
     Traverse, any_hit, closest_hit, count_any, count_closest, count_transmittance, is_closer, is_layered,
@@ -29,7 +30,6 @@ pub(crate) use traverse::{
 pub(crate) use walk::Counter;
 #[cfg(feature = "gpu")]
 pub(crate) use whitted::most_rays;
-pub(crate) use light::Lit;
 pub(crate) use whitted::{MAX_DEPTH, Met, Path, Pixel, render_pixel, shining};
 pub(crate) use wide::extent;
 
