@@ -108,9 +108,12 @@ impl<'a> Rays<'a> {
 
 #[cfg(test)]
 mod tests {
+    use glam::Vec4;
+
     use super::*;
     use crate::compile::Compiler;
-    use crate::{Core, Geometry, Material, Scene};
+    use crate::trace::kernel::is_layered;
+    use crate::{Core, Geometry, Material, Quality, Scene, Structure};
 
     /// Numbers between -1 and 1, by a linear congruence.
     fn random(state: &mut u64) -> f32 {
@@ -131,12 +134,18 @@ mod tests {
             .collect();
         let mut scene = Scene::new();
         let indices: Vec<[u32; 3]> = (0..600).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
-        let geometry = Geometry::new(corners, indices);
-        let core = Core::Geometry {
-            geometry: scene.add_geometry(geometry).unwrap(),
-            material: scene.add_material(Material::default()).unwrap(),
-        };
-        scene.add(scene.root(), core).unwrap();
+        // The second half lets light through, and has triangles in several leaves.
+        let tint = Vec4::new(0.5, 0.7, 0.9, 1.0);
+        let [opaque, panes] = [Material::default(), Material { base_color: tint, ..Material::glass(1.5) }];
+        let structure = Some(Structure::Bvh(Quality::Best));
+        let halves = [
+            (opaque, Geometry::new(corners.clone(), indices[..300].to_vec())),
+            (panes, Geometry { structure, ..Geometry::new(corners, indices[300..].to_vec()) }),
+        ];
+        for (material, geometry) in halves {
+            let (geometry, material) = (scene.add_geometry(geometry).unwrap(), scene.add_material(material).unwrap());
+            scene.add(scene.root(), Core::Geometry { geometry, material }).unwrap();
+        }
         let mut compiler = Compiler::default();
         compiler.compile(&mut scene, glam::DVec3::ZERO).unwrap();
 
@@ -167,7 +176,10 @@ mod tests {
             tracer.transmittances(&rays, u32::MAX, &mut light);
             (hits, any, light)
         };
+        assert!(scene.instances.iter().any(|instance| is_layered(instance.flags)));
         let expected = trace(None);
+        let dimmed = expected.2.iter().filter(|light| light.x > 0.0 && light.x < 1.0).count();
+        assert!(dimmed > 50, "{dimmed}");
         let met = expected.1.iter().filter(|&&hit| hit).count();
         assert!((300..2_400).contains(&met), "{met}");
         let far = expected.1[2_000..].iter().filter(|&&hit| hit).count();
