@@ -82,7 +82,7 @@ impl<'a> Rays<'a> {
         match self.lanes {
             Some(level) => self.ask::<Transmittances>(level, rays, ray_mask, light),
             None => {
-                light.iter_mut().zip(rays).for_each(|(light, ray)| *light = transmittance(self.scene, ray, ray_mask))
+                light.iter_mut().zip(rays).for_each(|(light, ray)| *light = transmittance(self.scene, ray, ray_mask));
             }
         }
     }
