@@ -1,4 +1,5 @@
-// One pixel: T. Whitted's recursion (1980) as a loop over rays that wait. Twin of src/trace/kernel/whitted.rs: see there.
+// One pixel: T. Whitted's recursion (1980) as a loop over rays that wait. Twin of src/trace/kernel/whitted.rs: see there. What
+// is a Path there, driven from outside, is one loop here.
 
 // The most reflections and refractions of a path, whatever params.max_depth says.
 const MAX_DEPTH: u32 = 8u;

@@ -63,7 +63,7 @@ impl Default for BuildParams {
 }
 
 impl Blas {
-    /// Builds the structure, on all threads of the current rayon pool. O(n log n); temporary memory about 140 bytes a
+    /// Builds the structure, on all threads of the current rayon pool. O(n log n); temporary memory about 120 bytes a
     /// triangle, up to 280 for a kd-tree.
     ///
     /// [`Quality::Fast`] merges neighbours along a space-filling curve. [`Quality::Balanced`] divides triangles by the surface area

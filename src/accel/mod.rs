@@ -6,7 +6,7 @@
 //! debug builds every result is [validated](Blas::validate).
 //!
 //! Builders make a binary build tree: `sah` from the top down, dividing primitives or cutting space, `agglomerate` from the bottom
-//! up; `reinsert` makes one better. `flatten` turns it into device nodes.
+//! up; `reinsert` makes one better. `flatten` turns it into device nodes with escape indices, `wide` into nodes of eight children.
 //!
 //! Guarantees, for any finite input:
 //! - Every primitive is in exactly one leaf, or every part of it in one that holds it ([`Blas::repeats`]); each box contains,

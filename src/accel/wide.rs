@@ -31,7 +31,7 @@ const MARGIN: f64 = 1.0 / (1 << 10) as f64;
 /// A subtree of so few triangles is a leaf: as many are tested at once.
 pub(super) const LEAF_SIZE: u32 = 4;
 
-/// Subtrees of fewer nodes are collapsed by one thread.
+/// Subtrees that become fewer nodes with escape indices are collapsed by one thread.
 const TASK_MINIMUM: usize = 1 << 12;
 
 /// Children of a wide node.

@@ -24,7 +24,7 @@ pub(crate) trait Query: Copy {
     /// Farther than this nothing matters.
     fn t_max(&self) -> f32;
 
-    /// Called when all has been crossed.
+    /// Called when all has been crossed by who asks one ray at a time.
     fn finish(&mut self) {}
 }
 

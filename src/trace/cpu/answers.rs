@@ -268,7 +268,8 @@ impl Answers for AnyHits {
     }
 }
 
-/// How much light gets through.
+/// How much light gets through. A product of tints is rounded in the order in which the packet meets them, so that its last bits go by the rays
+/// that are asked together.
 pub(super) struct Transmittances {
     t_max: Numbers,
     light: [Numbers; 3],

@@ -70,10 +70,10 @@ fn walk_lane<S: Simd>(
     place: &Place<'_>,
     rays: &LocalPacket,
     lane: usize,
-    query: &mut Lane<'_, impl Answers>,
+    answer: &mut Lane<'_, impl Answers>,
 ) {
     let lane = lane % LANES;
-    let mut walker = Single::new(simd, place, rays, lane, query, &mut memory.enters);
+    let mut walker = Single::new(simd, place, rays, lane, answer, &mut memory.enters);
     walk(place.nodes, root, rays.octants[lane] as usize, &mut memory.stack, &mut walker);
 }
 
@@ -83,7 +83,7 @@ struct Single<'a, 'l, S: Simd, A> {
     place: &'a Place<'a>,
     rays: &'a LocalPacket,
     lane: usize,
-    query: &'a mut Lane<'l, A>,
+    answer: &'a mut Lane<'l, A>,
     enters: &'a mut [[f32; 8]; DEPTH],
     origin: [f32x16<S>; 3],
     /// For near planes in the lower lanes, times the slack of boxes; for far planes in the upper ones, negated.
@@ -106,11 +106,11 @@ impl<'a, 'l, S: Simd, A: Answers> Single<'a, 'l, S, A> {
         place: &'a Place<'a>,
         rays: &'a LocalPacket,
         lane: usize,
-        query: &'a mut Lane<'l, A>,
+        answer: &'a mut Lane<'l, A>,
         enters: &'a mut [[f32; 8]; DEPTH],
     ) -> Self {
         let signs = f32x8::splat(simd, BOX_SLACK).combine(f32x8::splat(simd, -1.0));
-        let t_max = f32x8::splat(simd, query.t_max());
+        let t_max = f32x8::splat(simd, answer.t_max());
         Self {
             simd,
             place,
@@ -130,7 +130,7 @@ impl<'a, 'l, S: Simd, A: Answers> Single<'a, 'l, S, A> {
             orders: near_first(simd, rays.octants[lane] as usize),
             t_max,
             range: range(of(simd, &rays.t_min, lane), t_max),
-            query,
+            answer,
         }
     }
 }
@@ -165,9 +165,9 @@ impl<S: Simd, A: Answers> Walker for Single<'_, '_, S, A> {
 
     #[inline(always)]
     fn leaf(&mut self, _: &WideNode, _: usize, _: usize, triangles: PrimitiveRange) -> bool {
-        let is_nearer = cross_leaf(self.simd, self.place, self.rays, self.lane, triangles, self.query);
+        let is_nearer = cross_leaf(self.simd, self.place, self.rays, self.lane, triangles, self.answer);
         if is_nearer {
-            self.t_max = f32x8::splat(self.simd, self.query.t_max());
+            self.t_max = f32x8::splat(self.simd, self.answer.t_max());
             self.range = range(of(self.simd, &self.rays.t_min, self.lane), self.t_max);
         }
         is_nearer
@@ -182,15 +182,15 @@ fn cross_leaf<S: Simd>(
     rays: &LocalPacket,
     lane: usize,
     triangles: PrimitiveRange,
-    query: &mut Lane<'_, impl Answers>,
+    answer: &mut Lane<'_, impl Answers>,
 ) -> bool {
     let (mut first, mut count) = (place.instance.first_triangle + triangles.first(), triangles.count());
     let mut is_nearer = false;
     while count > 4 {
-        is_nearer |= cross_four(simd, place, rays, lane, first, 4, query);
+        is_nearer |= cross_four(simd, place, rays, lane, first, 4, answer);
         (first, count) = (first + 4, count - 4);
     }
-    is_nearer | cross_four(simd, place, rays, lane, first, count, query)
+    is_nearer | cross_four(simd, place, rays, lane, first, count, answer)
 }
 
 /// Tests up to four triangles.
@@ -202,7 +202,7 @@ fn cross_four<S: Simd>(
     lane: usize,
     first: u32,
     count: u32,
-    query: &mut Lane<'_, impl Answers>,
+    answer: &mut Lane<'_, impl Answers>,
 ) -> bool {
     let triangles = &place.scene.triangles[first as usize..];
     let mut few = [Triangle::zeroed(); 4];
@@ -251,7 +251,7 @@ fn cross_four<S: Simd>(
     );
     let Some((mut crossed, crossings)) = crossings else { return false };
     crossed &= crossings.t.simd_ge(rays.t_min[lane]).to_bitmask();
-    crossed &= crossings.t.simd_le(query.t_max()).to_bitmask();
+    crossed &= crossings.t.simd_le(answer.t_max()).to_bitmask();
     if crossed == 0 {
         return false;
     }
@@ -261,7 +261,7 @@ fn cross_four<S: Simd>(
         crossed &= crossed - 1;
         let back = crossings.back >> lane & 1 != 0;
         let candidate = Candidate { t: t[lane], u: u[lane], v: v[lane], back, triangle: first + lane as u32 };
-        query.cross(place, &candidate);
+        answer.cross(place, &candidate);
     }
     true
 }

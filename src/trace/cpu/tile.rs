@@ -6,7 +6,7 @@ use super::rays::Rays;
 use crate::device::layout::{FrameParams, Hit, Light, Ray};
 use crate::trace::kernel::{KernelScene, Lit, Met, Path, Pixel, camera_ray, shining};
 
-/// Pixels along the side of a block whose primary rays are a packet.
+/// Pixels along the side of a block. Its primary rays are a packet, but at the edges of an image, where blocks are smaller.
 const BLOCK: usize = 4;
 
 /// Renders tile after tile. Rays of paths that go on stand beside each other, so that packets are full for as long as there are any.

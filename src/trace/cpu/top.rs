@@ -14,13 +14,7 @@ use crate::trace::kernel::{KernelScene, meets_box, slab_ray};
 
 /// Visits the instances below the node of index `root` whose boxes the ray meets no farther than `t_max`, which `visit` returns anew.
 #[inline(always)]
-pub(super) fn walk_top(
-    scene: &KernelScene<'_>,
-    root: u32,
-    ray: &Ray,
-    mut t_max: f32,
-    mut visit: impl FnMut(u32) -> f32,
-) {
+fn walk_top(scene: &KernelScene<'_>, root: u32, ray: &Ray, mut t_max: f32, mut visit: impl FnMut(u32) -> f32) {
     let direction = Vec3::from_array(ray.direction);
     let slab = slab_ray(Vec3::from_array(ray.origin), direction);
     walk_nodes(

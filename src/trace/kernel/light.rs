@@ -1,5 +1,5 @@
 //! Direct light from points, spots and directions, as `KHR_lights_punctual` defines them. Twin of
-//! `shaders/shared/light.wgsl`.
+//! `shaders/shared/light.wgsl`, whose `direct_light` asks for each light what [`lit`] says here.
 
 use glam::Vec3;
 

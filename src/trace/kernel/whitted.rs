@@ -150,7 +150,8 @@ impl Path {
         self.pending_count = 1;
     }
 
-    /// The ray that is to be traced now. None where all is known.
+    /// The ray that is to be traced now; then [`meet`](Self::meet) is told what it hits, and where that is a surface, [`shade`](Self::shade)
+    /// what light it gets. None where nothing is to be traced any more.
     pub(crate) fn next_ray(&mut self) -> Option<Ray> {
         if self.traced == MAX_RAYS {
             return None;
@@ -236,7 +237,7 @@ impl Path {
         self.pending_count = count + 1;
     }
 
-    /// Rays beyond the limit see the sky.
+    /// The pixel, once there is no next ray. Rays beyond the limit see the sky.
     pub(crate) fn finish(&mut self, params: &FrameParams) -> Pixel {
         for ray in &self.pending[..self.pending_count] {
             self.color += ray.throughput * sky_radiance(params, ray.direction);
