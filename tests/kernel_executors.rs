@@ -33,17 +33,16 @@ fn request(width: u32, height: u32, aovs: bool) -> FrameRequest {
     FrameRequest { params, needs: Needs::empty(), aovs }
 }
 
+fn sun(direction: [f32; 3]) -> Light {
+    Light { kind: LIGHT_DIRECTIONAL, direction, color: [1.0; 3], ..Light::zeroed() }
+}
+
 /// Of a bumpy ball, half glass, under a light from above.
 fn images(request: &FrameRequest) -> [Image; 3] {
     let mut arrays = arrays(&[Mesh::displaced_icosphere(3)], &[Placed::new(0, DAffine3::IDENTITY)]);
     let glass = Material { transmission: 0.5, roughness: 0.0, ..arrays.materials[0] };
     arrays.materials.replace(&[glass]);
-    arrays.lights.replace(&[Light {
-        kind: LIGHT_DIRECTIONAL,
-        direction: [0.0, -1.0, 0.0],
-        color: [1.0; 3],
-        ..Light::zeroed()
-    }]);
+    arrays.lights.replace(&[sun([0.0, -1.0, 0.0])]);
     let mut tracers: [Box<dyn Tracer>; 3] =
         [Box::new(Emulated::default()), Box::new(Cpu::default()), Box::new(Recursive::default())];
     tracers.each_mut().map(|tracer| {
@@ -81,12 +80,7 @@ fn aovs_tell_what_was_met() {
 #[test]
 fn the_rays_of_a_frame_are_counted() {
     let mut arrays = arrays(&[Mesh::displaced_icosphere(3)], &[Placed::new(0, DAffine3::IDENTITY)]);
-    arrays.lights.replace(&[Light {
-        kind: LIGHT_DIRECTIONAL,
-        direction: [0.0, 0.0, -1.0],
-        color: [1.0; 3],
-        ..Light::zeroed()
-    }]);
+    arrays.lights.replace(&[sun([0.0, 0.0, -1.0])]);
     let mut frame = request(32, 32, true);
     let mut emulated = Emulated::default();
     emulated.render(&arrays, &frame).unwrap();

@@ -192,7 +192,7 @@ impl Flattener<'_> {
         {
             inside.node += 1;
             let next = inside.node + nodes.len() as u32;
-            let (min, max) = padded(tree_node.min, tree_node.max);
+            let [min, max] = self.corners(index);
             let escape_index = if next == place.end { NONE } else { next };
             let is_leaf = nodes.is_empty();
             let primitives =

@@ -92,9 +92,10 @@ impl Collapse<'_> {
     fn node(&self, subtree: Subtree, levels: usize) -> (WideNode, [Option<Subtree>; WIDTH]) {
         let mut opened = [subtree; WIDTH];
         let count = self.open(subtree, levels, &mut opened);
-        let slots = self.assign_slots(&opened[..count]);
-        let corners = |subtree: Subtree| self.tree.corners(subtree.node);
-        let mut node = quantised(corners(subtree), &slots.map(|child| child.map(corners)));
+        let boxes = opened.map(|child| self.tree.corners(child.node));
+        let slots = assign_slots(&boxes[..count]);
+        let mut node = quantised(self.tree.corners(subtree.node), &slots.map(|child| child.map(|child| boxes[child])));
+        let slots = slots.map(|child| child.map(|child| opened[child]));
         for (slot, child) in slots.iter().enumerate() {
             if let Some(leaf) = child.filter(|child| self.tree.height(child.node) == 0) {
                 node.children[slot] = PrimitiveRange::leaf(leaf.first, self.tree.part(leaf.node).primitives);
@@ -124,36 +125,35 @@ impl Collapse<'_> {
         }
         count
     }
+}
 
-    /// Gives each child the slot whose corner it is nearest to, the most decided first.
-    fn assign_slots(&self, opened: &[Subtree]) -> [Option<Subtree>; WIDTH] {
-        let mut places = [Vec3::ZERO; WIDTH];
-        let mut mean = Vec3::ZERO;
-        for (place, child) in places.iter_mut().zip(opened) {
-            let [min, max] = self.tree.corners(child.node);
-            *place = min * 0.5 + max * 0.5;
-            mean += *place / opened.len() as f32;
-        }
-        let mut slots = [None; WIDTH];
-        let mut free = u8::MAX;
-        // For each child the free slot that suits it best.
-        let mut best: [(f32, usize); WIDTH] = std::array::from_fn(|i| best_slot(places[i] - mean, free));
-        let mut is_waiting = [true; WIDTH];
-        for _ in 0..opened.len() {
-            let waiting = (0..opened.len()).filter(|&i| is_waiting[i]);
-            let Some(i) = waiting.max_by(|&a, &b| best[a].0.total_cmp(&best[b].0)) else { break };
-            let slot = best[i].1;
-            slots[slot] = Some(opened[i]);
-            is_waiting[i] = false;
-            free &= !(1 << slot);
-            for j in 0..opened.len() {
-                if is_waiting[j] && best[j].1 == slot {
-                    best[j] = best_slot(places[j] - mean, free);
-                }
+/// For each slot the child, by its box, that is nearest to the slot's corner, the most decided first.
+fn assign_slots(boxes: &[[Vec3; 2]]) -> [Option<usize>; WIDTH] {
+    let mut places = [Vec3::ZERO; WIDTH];
+    let mut mean = Vec3::ZERO;
+    for (place, [min, max]) in places.iter_mut().zip(boxes) {
+        *place = *min * 0.5 + *max * 0.5;
+        mean += *place / boxes.len() as f32;
+    }
+    let mut slots = [None; WIDTH];
+    let mut free = u8::MAX;
+    // For each child the free slot that suits it best.
+    let mut best: [(f32, usize); WIDTH] = std::array::from_fn(|i| best_slot(places[i] - mean, free));
+    let mut is_waiting = [true; WIDTH];
+    for _ in 0..boxes.len() {
+        let waiting = (0..boxes.len()).filter(|&i| is_waiting[i]);
+        let Some(i) = waiting.max_by(|&a, &b| best[a].0.total_cmp(&best[b].0)) else { break };
+        let slot = best[i].1;
+        slots[slot] = Some(i);
+        is_waiting[i] = false;
+        free &= !(1 << slot);
+        for j in 0..boxes.len() {
+            if is_waiting[j] && best[j].1 == slot {
+                best[j] = best_slot(places[j] - mean, free);
             }
         }
-        slots
     }
+    slots
 }
 
 /// Of the slots whose bits are set the one whose corner is farthest in a direction, and how far.

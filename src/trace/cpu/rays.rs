@@ -13,7 +13,7 @@ use crate::trace::kernel::{KernelScene, any_hit, closest_hit, transmittance};
 
 /// What a task traces rays with.
 pub(super) struct Rays<'a> {
-    scene: &'a KernelScene<'a>,
+    pub(super) scene: &'a KernelScene<'a>,
     lanes: Option<Level>,
     memory: Box<Memory>,
 }

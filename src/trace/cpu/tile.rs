@@ -11,7 +11,6 @@ const BLOCK: usize = 4;
 
 /// Renders tile after tile. Rays of paths that go on stand beside each other, so that packets are full for as long as there are any.
 pub(super) struct TileTracer<'a> {
-    scene: &'a KernelScene<'a>,
     tracer: Rays<'a>,
     paths: Vec<Path>,
     /// The rays that are traced together, and which paths, or surfaces, they belong to.
@@ -34,7 +33,6 @@ struct Unshaded {
 impl<'a> TileTracer<'a> {
     pub(super) fn new(scene: &'a KernelScene<'a>) -> Self {
         Self {
-            scene,
             tracer: Rays::new(scene),
             paths: Vec::new(),
             rays: Vec::new(),
@@ -60,7 +58,7 @@ impl<'a> TileTracer<'a> {
             path.start(&camera_ray(params, left + x, top + y));
         }
         while self.trace(params) {
-            for light in shining(self.scene, params) {
+            for light in shining(self.tracer.scene, params) {
                 self.shine(params, light);
             }
             for Unshaded { path, met, light } in &self.surfaces {
@@ -86,7 +84,7 @@ impl<'a> TileTracer<'a> {
         self.hits.resize(self.rays.len(), Hit::MISS);
         self.tracer.closest_hits(&self.rays, params.ray_mask, &mut self.hits);
         for (&path, hit) in self.owners.iter().zip(&self.hits) {
-            if let Some(met) = self.paths[path].meet(self.scene, params, hit) {
+            if let Some(met) = self.paths[path].meet(self.tracer.scene, params, hit) {
                 self.surfaces.push(Unshaded { path, met, light: Vec3::ZERO });
             }
         }

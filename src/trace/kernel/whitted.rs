@@ -150,8 +150,8 @@ impl Path {
         self.pending_count = 1;
     }
 
-    /// The ray that is to be traced now; then [`meet`](Self::meet) is told what it hits, and where that is a surface, [`shade`](Self::shade)
-    /// what light it gets. None where nothing is to be traced any more.
+    /// The ray that is to be traced now; then [`meet`](Self::meet) is told what it hits, and where that is a surface,
+    /// [`shade`](Self::shade) what light it gets. None where nothing is to be traced any more.
     pub(crate) fn next_ray(&mut self) -> Option<Ray> {
         if self.traced == MAX_RAYS {
             return None;
@@ -179,8 +179,9 @@ impl Path {
         Some(Met { ray, surface })
     }
 
-    /// Adds what the surface sends back along the ray, `light` of it from lights, and the rays that must be traced to know the rest. What lies behind a
-    /// blended surface comes last, so that nothing of this surface waits while it is traced: see [`MAX_PENDING`].
+    /// Adds what the surface sends back along the ray, `light` of it from lights, and the rays that must be traced to know the
+    /// rest. What lies behind a blended surface comes last, so that nothing of this surface waits while it is traced: see
+    /// [`MAX_PENDING`].
     pub(crate) fn shade(&mut self, params: &FrameParams, Met { ray, surface }: &Met, light: Vec3) {
         // 1. Alpha divides the light between what lies behind and the surface.
         let mut throughput = ray.throughput;
