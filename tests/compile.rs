@@ -13,8 +13,9 @@ use canonical::Canonical;
 use glam::{DVec3, Vec3};
 use proptest::prelude::*;
 use proptest::test_runner::TestRunner;
-use ropewalk::accel::{Rebuild, Update};
-use ropewalk::compile::{Compiler, ImageHeight, Needs, Observer};
+use ropewalk::accel::{RebuildReason, TlasUpdate};
+use ropewalk::compile::{Compiler, ImageHeight, Observer};
+use ropewalk::device::Needs;
 use ropewalk::device::layout::{Hit, Ray};
 use ropewalk::device::{DeviceArrays, DeviceBuffer};
 use ropewalk::trace::{Emulated, Tracer};
@@ -216,17 +217,17 @@ fn an_unchanged_scene_changes_nothing() {
     world.populate();
     let mut compiler = Compiler::new();
     let first = compiler.compile(&mut world.scene, EYE).unwrap();
-    assert_eq!(first.tlas, Update::Rebuilt(Rebuild::Empty));
+    assert_eq!(first.tlas, TlasUpdate::Rebuilt(RebuildReason::Empty));
     assert!(first.blas_built > 0 && dirty_bytes(&mut compiler) > 0);
 
     let second = compiler.compile(&mut world.scene, EYE).unwrap();
-    assert_eq!((second.tlas, second.blas_built), (Update::Kept, 0));
+    assert_eq!((second.tlas, second.blas_built), (TlasUpdate::Kept, 0));
     assert_eq!(dirty_bytes(&mut compiler), 0);
     // Nor does a camera that moves a little, or setting a value to what it was.
     let node = world.nodes[1];
     world.scene.set_local(node, world.scene.local(node).unwrap()).unwrap();
     let third = compiler.compile(&mut world.scene, EYE + DVec3::splat(0.01)).unwrap();
-    assert_eq!((third.tlas, dirty_bytes(&mut compiler)), (Update::Kept, 0));
+    assert_eq!((third.tlas, dirty_bytes(&mut compiler)), (TlasUpdate::Kept, 0));
 }
 
 #[test]
@@ -248,7 +249,7 @@ fn a_moved_node_patches_the_top_level_only() {
 
     scene.set_local(nodes[500], Transform::from_translation(DVec3::new(1500.0, 1.0, 0.0))).unwrap();
     let report = compiler.compile(&mut scene, EYE).unwrap();
-    assert!(matches!(report.tlas, Update::Patched { instances: 1, .. }));
+    assert!(matches!(report.tlas, TlasUpdate::Patched { instances: 1, .. }));
     assert_eq!(report.blas_built, 0);
     let arrays = compiler.arrays_mut();
     assert_eq!(arrays.instances.take_dirty().iter().map(ExactSizeIterator::len).sum::<usize>(), 1);
@@ -265,7 +266,7 @@ fn a_changed_material_keeps_the_top_level() {
     let material = world.materials[0];
     world.scene.set_material(material, Material::glass(1.4)).unwrap();
     let report = compiler.compile(&mut world.scene, EYE).unwrap();
-    assert_eq!((report.tlas, report.blas_built), (Update::Kept, 0));
+    assert_eq!((report.tlas, report.blas_built), (TlasUpdate::Kept, 0));
     assert!(report.needs.contains(Needs::REFRACTION));
     assert!(dirty_bytes(&mut compiler) > 0);
 }
@@ -324,7 +325,7 @@ fn another_scene_is_compiled_from_nothing() {
     let mut compiler = Compiler::new();
     compiler.compile(&mut one.scene, EYE).unwrap();
     let report = compiler.compile(&mut other.scene, EYE).unwrap();
-    assert_eq!(report.tlas, Update::Rebuilt(Rebuild::Empty));
+    assert_eq!(report.tlas, TlasUpdate::Rebuilt(RebuildReason::Empty));
     let mut fresh = Compiler::new();
     fresh.compile(&mut other.scene, EYE).unwrap();
     assert_eq!(Canonical::of(compiler.arrays()).difference(&Canonical::of(fresh.arrays())), None);

@@ -8,7 +8,7 @@ use bytemuck::Zeroable as _;
 use glam::DAffine3;
 use kernel_support::{Mesh, Placed, arrays};
 use ropewalk::Error;
-use ropewalk::compile::Needs;
+use ropewalk::device::Needs;
 use ropewalk::device::layout::{FrameParams, LIGHT_DIRECTIONAL, Light, Material};
 use ropewalk::image::Image;
 use ropewalk::trace::{Cpu, Emulated, FrameRequest, Recursive, Tracer};

@@ -6,7 +6,7 @@ mod kernel_support;
 
 use glam::{DAffine3, DQuat, DVec3, Vec3};
 use kernel_support::{Builder, Mesh, Placed, Random, arrays_by, tracers};
-use ropewalk::accel::TopLevel;
+use ropewalk::accel::Tlas;
 use ropewalk::device::DeviceArrays;
 use ropewalk::device::layout::{InstanceFlags, NONE, Node, PrimitiveRange, Ray};
 use ropewalk::trace::{Counts, Emulated, Layout, Recursive, Tracer as _};
@@ -105,7 +105,7 @@ fn a_top_level_deeper_than_the_stacks() {
         let translation = random.in_cube().as_dvec3() * 2.0;
         Placed::new(0, DAffine3::from_scale_rotation_translation(DVec3::splat(0.1), DQuat::IDENTITY, translation))
     };
-    let placed: Vec<Placed> = (0..2 * TopLevel::MAX_DEPTH).map(|_| one()).collect();
+    let placed: Vec<Placed> = (0..2 * Tlas::MAX_DEPTH).map(|_| one()).collect();
     let mut arrays = arrays_by(Builder::Product, &[Mesh::cube()], &placed);
     let (min, max) = ([-3.0; 3], [3.0; 3]);
     for left_deep in [false, true] {

@@ -7,7 +7,7 @@ use std::mem::{offset_of, size_of};
 
 use naga::proc::Layouter;
 use naga::valid::{Capabilities, ValidationFlags, Validator};
-use ropewalk::compile::Needs;
+use ropewalk::device::Needs;
 use ropewalk::device::layout::{
     FrameParams, Hit, Instance, Light, Material, Node, Ray, RayBatch, Streams, TextureInfo, Triangle, WideNode,
 };

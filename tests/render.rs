@@ -3,7 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "a panic in a test is a failure")]
 
 use glam::{DAffine3, DQuat, DVec3, Vec3};
-use ropewalk::accel::{Rebuild, Update};
+use ropewalk::accel::{RebuildReason, TlasUpdate};
 use ropewalk::{
     Camera, Core, DeviceChoice, Error, Geometry, Light, LightKind, Material, NodeKey, Renderer, RendererOptions, Scene,
     Transform, View,
@@ -67,22 +67,25 @@ fn each_edit_rebuilds_what_depends_on_it_and_says_why() {
     let report = |renderer: &mut Renderer, scene: &mut Scene| renderer.render(scene, &view).unwrap().report().clone();
 
     let first = report(&mut renderer, &mut scene);
-    assert_eq!(first.compile.tlas, Update::Rebuilt(Rebuild::Empty));
+    assert_eq!(first.compile.tlas, TlasUpdate::Rebuilt(RebuildReason::Empty));
     assert_eq!((first.compile.blas_built, first.compile.instances, first.compile.scene_triangles), (1, 13, 156));
 
     let second = report(&mut renderer, &mut scene);
-    assert_eq!((second.compile.tlas, second.compile.blas_built), (Update::Kept, 0));
+    assert_eq!((second.compile.tlas, second.compile.blas_built), (TlasUpdate::Kept, 0));
     assert_eq!(second.uploaded_bytes, 0);
 
     scene.set_local(cubes[3], Transform::from_translation(DVec3::Y)).unwrap();
     let moved = report(&mut renderer, &mut scene);
-    assert!(matches!(moved.compile.tlas, Update::Patched { instances: 1, .. } | Update::Refitted { instances: 1 }));
+    assert!(matches!(
+        moved.compile.tlas,
+        TlasUpdate::Patched { instances: 1, .. } | TlasUpdate::Refitted { instances: 1 }
+    ));
     assert_eq!(moved.compile.blas_built, 0);
     assert!(moved.to_string().contains("instances: 1"), "{moved}");
 
     scene.set_visible(cubes[4], false).unwrap();
     let hidden = report(&mut renderer, &mut scene);
-    assert!(matches!(hidden.compile.tlas, Update::Patched { .. } | Update::Refitted { .. }));
+    assert!(matches!(hidden.compile.tlas, TlasUpdate::Patched { .. } | TlasUpdate::Refitted { .. }));
     assert_eq!((hidden.compile.instances, hidden.compile.blas_built), (12, 0));
 }
 

@@ -12,7 +12,7 @@ use obvhs::BvhBuildParams;
 use obvhs::bvh2::Bvh2;
 use obvhs::bvh2::builder::build_bvh2;
 use obvhs::ploc::PlocBuilder;
-use ropewalk::accel::{TopLevel, Update};
+use ropewalk::accel::{Tlas, TlasUpdate};
 use ropewalk::device::DeviceBuffer;
 use ropewalk::device::layout::{Node, PrimitiveRange};
 use ropewalk::math::Aabb;
@@ -59,10 +59,10 @@ fn peer_boxes(boxes: &[Aabb]) -> Vec<obvhs::aabb::Aabb> {
     boxes.iter().map(|b| obvhs::aabb::Aabb::new(b.min.into(), b.max.into())).collect()
 }
 
-fn ours(boxes: &[Aabb]) -> (TopLevel, DeviceBuffer<Node>) {
-    let (mut top_level, mut nodes) = (TopLevel::default(), DeviceBuffer::default());
-    top_level.build(&mut nodes, boxes);
-    (top_level, nodes)
+fn ours(boxes: &[Aabb]) -> (Tlas, DeviceBuffer<Node>) {
+    let (mut tlas, mut nodes) = (Tlas::default(), DeviceBuffer::default());
+    tlas.build(&mut nodes, boxes);
+    (tlas, nodes)
 }
 
 fn peer(boxes: &[obvhs::aabb::Aabb], params: BvhBuildParams) -> Bvh2 {
@@ -71,7 +71,7 @@ fn peer(boxes: &[obvhs::aabb::Aabb], params: BvhBuildParams) -> Bvh2 {
 
 fn build(boxes: &[Aabb], samples: usize, report: &mut Report) {
     let peer_boxes = peer_boxes(boxes);
-    let (mut top_level, mut nodes) = ours(boxes);
+    let (mut tlas, mut nodes) = ours(boxes);
     let (mut builder, mut bvh) = (PlocBuilder::with_capacity(boxes.len()), Bvh2::zeroed(boxes.len()));
     let peer_boxes = &peer_boxes;
     let mut rebuild_peer = || {
@@ -83,7 +83,7 @@ fn build(boxes: &[Aabb], samples: usize, report: &mut Report) {
     costs.extend(PRESETS.map(|(_, params)| peer_cost(&peer(peer_boxes, params))));
     costs.push(costs[2]);
     let mut contenders: Vec<Contender> =
-        vec![Box::new(|| time(|| ours(boxes))), Box::new(|| time(|| top_level.build(&mut nodes, boxes)))];
+        vec![Box::new(|| time(|| ours(boxes))), Box::new(|| time(|| tlas.build(&mut nodes, boxes)))];
     for (_, params) in PRESETS {
         contenders.push(Box::new(move || time(|| peer(peer_boxes, params))));
     }
@@ -109,7 +109,7 @@ fn refit(boxes: &[Aabb], samples: usize, report: &mut Report) {
         boxes.iter().map(|b| Aabb { min: b.min + Vec3::splat(1e-4), max: b.max + Vec3::splat(1e-4) }).collect();
     let sets = [&moved[..], boxes];
     let slots: Vec<u32> = (0..boxes.len() as u32).collect();
-    let (mut top_level, mut nodes) = ours(boxes);
+    let (mut tlas, mut nodes) = ours(boxes);
     let peer_sets = sets.map(peer_boxes);
     let mut bvh = peer(&peer_sets[1], BvhBuildParams::fastest_build());
     bvh.init_primitives_to_nodes_if_uninit();
@@ -118,8 +118,8 @@ fn refit(boxes: &[Aabb], samples: usize, report: &mut Report) {
     let mut contenders: Vec<Contender> = vec![
         Box::new(|| {
             our_turn ^= 1;
-            let (start, update) = (Instant::now(), top_level.update(&mut nodes, sets[our_turn], &slots));
-            assert!(matches!(update, Update::Refitted { .. }), "{update:?}");
+            let (start, update) = (Instant::now(), tlas.update(&mut nodes, sets[our_turn], &slots));
+            assert!(matches!(update, TlasUpdate::Refitted { .. }), "{update:?}");
             start.elapsed()
         }),
         Box::new(|| {
@@ -146,7 +146,7 @@ fn refit(boxes: &[Aabb], samples: usize, report: &mut Report) {
 /// One instance after the other moves by its size.
 fn patch(mut boxes: Vec<Aabb>, report: &mut Report) {
     const MOVES: usize = 2001;
-    let (mut top_level, mut nodes) = ours(&boxes);
+    let (mut tlas, mut nodes) = ours(&boxes);
     nodes.take_dirty();
     let peer_boxes = peer_boxes(&boxes);
     let mut bvh = peer(&peer_boxes, BvhBuildParams::fastest_build());
@@ -159,7 +159,7 @@ fn patch(mut boxes: Vec<Aabb>, report: &mut Report) {
         let moved = &mut boxes[slot];
         let by = (moved.max - moved.min) * (Vec3::new(random.f32(), random.f32(), random.f32()) - 0.5);
         *moved = Aabb { min: moved.min + by, max: moved.max + by };
-        times.push(time(|| top_level.update(&mut nodes, &boxes, &[slot as u32])));
+        times.push(time(|| tlas.update(&mut nodes, &boxes, &[slot as u32])));
         bytes.push(nodes.take_dirty().iter().map(ExactSizeIterator::len).sum::<usize>() * size_of::<Node>());
         let peer_box = obvhs::aabb::Aabb::new(boxes[slot].min.into(), boxes[slot].max.into());
         peer_times.push(time(|| {

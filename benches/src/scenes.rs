@@ -5,8 +5,9 @@ use std::path::PathBuf;
 
 use clap::ValueEnum;
 use glam::{DVec3, Vec3, Vec4};
-use ropewalk::compile::{Compiler, Needs};
+use ropewalk::compile::Compiler;
 use ropewalk::device::DeviceArrays;
+use ropewalk::device::Needs;
 use ropewalk::device::layout::{Hit, Instance, NONE, Node, Triangle};
 use ropewalk::{Camera, Material, Scene, View, gltf};
 

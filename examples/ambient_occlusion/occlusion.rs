@@ -1,7 +1,7 @@
 //! Ambient occlusion by a compute shader of the application's own.
 
 use bytemuck::{Pod, Zeroable};
-use ropewalk::compile::Needs;
+use ropewalk::device::Needs;
 use ropewalk::glam::{DVec3, Vec3};
 use ropewalk::trace::gpu::GpuTracer;
 use ropewalk::{Renderer, Result, Scene};

@@ -1,6 +1,6 @@
 //! Acceleration structures: bounding volume hierarchies as depth-first arrays with escape indices (paper, section 3).
 //!
-//! Two levels: a [`Blas`] over the triangles of each geometry, in local space, and one [`TopLevel`] over the instances,
+//! Two levels: a [`Blas`] over the triangles of each geometry, in local space, and one [`Tlas`] over the instances,
 //! in device world space. The first is built for good, by the builder that suits it ([`BuildParams::structure`]), and refitted
 //! where its geometry deforms; the second is kept up with what moves, and when it is rebuilt, that is done fast (clustering). In
 //! debug builds every result is [validated](Blas::validate).
@@ -14,31 +14,19 @@
 //! - No bottom-level hierarchy is deeper than [`MAX_DEPTH`].
 //! - The same input gives the same arrays, whatever the number of threads.
 
-mod agglomerate;
-mod bins;
 mod blas;
-mod clip;
-mod cluster;
-mod flatten;
-mod partition;
-mod refit;
-mod reinsert;
-mod sah;
-mod spatial;
+mod build;
+mod padding;
 mod stats;
 mod support;
-mod top_level;
+mod tlas;
 mod tree;
 mod validate;
-mod wide;
-mod wide_refit;
 
-pub use blas::{Blas, BuildParams};
-pub use flatten::MAX_CHILDREN;
-pub(crate) use refit::{Refitted, refit};
-pub use sah::MAX_DEPTH;
+pub use blas::{Blas, BuildParams, MAX_CHILDREN, MAX_WIDE_DEPTH};
+pub(crate) use blas::{Refitted, refit};
+pub use build::MAX_DEPTH;
 pub use stats::Stats;
 pub use support::Support;
-pub use top_level::{Rebuild, TopLevel, Update};
+pub use tlas::{RebuildReason, Tlas, TlasUpdate};
 pub use validate::StructureError;
-pub use wide::MAX_WIDE_DEPTH;

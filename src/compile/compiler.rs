@@ -6,17 +6,17 @@ use std::time::Instant;
 
 use glam::DVec3;
 
-use super::dirty::Dirty;
+use super::changes::Dirty;
 use super::geometry_cache::GeometryCache;
 use super::instance_table::{InstanceSource, InstanceTable, Member, Sources};
 use super::material_table::MaterialTable;
-use super::observer::Observer;
+use super::pack;
 use super::report::CompileReport;
 use super::view_dependent::ViewDependent;
-use super::{Needs, pack};
+use super::viewpoint::Observer;
 use crate::Result;
-use crate::accel::Update;
-use crate::device::DeviceArrays;
+use crate::accel::TlasUpdate;
+use crate::device::{DeviceArrays, Needs};
 use crate::graph::{Changes, Core, Cursor, Hierarchy, Scene, SceneId};
 use crate::math::{Aabb, Bounds};
 
@@ -315,8 +315,8 @@ impl Compiler {
             self.write_lights(scene, hierarchy)?;
         }
         let start = Instant::now();
-        match self.instances.update_top_level(&mut self.arrays) {
-            Update::Kept => {}
+        match self.instances.update_tlas(&mut self.arrays) {
+            TlasUpdate::Kept => {}
             update => {
                 report.tlas = update;
                 report.tlas_time += start.elapsed();

@@ -4,14 +4,13 @@ use glam::DVec3;
 use rayon::prelude::*;
 use slotmap::{Key, SecondaryMap};
 
-use super::Needs;
 use super::geometry_cache::GeometryCache;
 use super::material_table::MaterialTable;
 use super::pack::Placement;
 use super::view_dependent::ViewDependent;
-use crate::accel::{TopLevel, Update};
-use crate::device::DeviceArrays;
+use crate::accel::{Tlas, TlasUpdate};
 use crate::device::layout::{Instance, InstanceFlags, NONE, PrimitiveRange};
+use crate::device::{DeviceArrays, Needs};
 use crate::graph::{GeometryKey, Hierarchy, KeyMap, MaterialKey, NodeKey, NodePath};
 use crate::math::Aabb;
 use crate::{Error, Result};
@@ -51,7 +50,7 @@ pub(super) struct InstanceTable {
     stale: Vec<u32>,
     /// Slots whose boxes differ from what the top level holds.
     moved: Vec<u32>,
-    top_level: TopLevel,
+    tlas: Tlas,
     totals: Totals,
 }
 
@@ -273,9 +272,9 @@ impl InstanceTable {
     }
 
     /// Brings the top level up to date.
-    pub(super) fn update_top_level(&mut self, arrays: &mut DeviceArrays) -> Update {
+    pub(super) fn update_tlas(&mut self, arrays: &mut DeviceArrays) -> TlasUpdate {
         let moved = std::mem::take(&mut self.moved);
-        self.top_level.update(&mut arrays.tlas_nodes, &self.boxes, &moved)
+        self.tlas.update(&mut arrays.tlas_nodes, &self.boxes, &moved)
     }
 
     /// What the members are.

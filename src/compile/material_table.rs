@@ -6,9 +6,10 @@ use slotmap::SecondaryMap;
 
 use super::arena::Arena;
 use super::instance_table::Users;
-use super::{Needs, pack};
+use super::pack;
 use crate::Result;
 use crate::device::DeviceArrays;
+use crate::device::Needs;
 use crate::device::layout::{InstanceFlags, NONE, TextureFlags};
 use crate::graph::{Material, MaterialKey, Scene, Texture, TextureKey, TextureRef};
 

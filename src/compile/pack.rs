@@ -3,10 +3,9 @@
 use glam::{DAffine3, DVec3, Vec4};
 use slotmap::Key as _;
 
-use super::Needs;
-use super::needs::MAX_MIRROR_ROUGHNESS;
 use crate::accel::Support;
 use crate::device::layout::{self, Instance, InstanceFlags, MaterialFlags, TextureFlags, TextureInfo};
+use crate::device::{MAX_MIRROR_ROUGHNESS, Needs};
 use crate::graph::{AlphaMode, Filter, Light, LightKind, Material, NodeKey, Texture, TextureRef, Wrap};
 use crate::math::Aabb;
 

@@ -4,14 +4,15 @@ use std::time::Duration;
 
 use serde::Serialize;
 
-use super::{BlasBuilds, Needs};
-use crate::accel::Update;
+use super::BlasBuilds;
+use crate::accel::TlasUpdate;
+use crate::device::Needs;
 
 /// What one [`Compiler::compile`](super::Compiler::compile) did.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct CompileReport {
     /// What became of the top level.
-    pub tlas: Update,
+    pub tlas: TlasUpdate,
     /// Whether the camera went so far from the render origin that the origin followed it: then every instance was written
     /// anew.
     pub rebased: bool,
@@ -64,7 +65,7 @@ impl CompileReport {
     /// The report of the next compile, if it finds nothing changed.
     pub(super) fn as_unchanged(&self) -> Self {
         Self {
-            tlas: Update::Kept,
+            tlas: TlasUpdate::Kept,
             rebased: false,
             instances_written: 0,
             blas_built: 0,

@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use glam::DAffine3;
 
-use super::observer::{Observer, longest_axis};
+use super::viewpoint::{Observer, longest_axis};
 use crate::Result;
 use crate::graph::{Core, Hierarchy, LodMeasure, Scene};
 

@@ -2,5 +2,7 @@
 
 pub mod arrays;
 pub mod layout;
+mod needs;
 
 pub use arrays::{DeviceArrays, DeviceBuffer};
+pub use needs::{MAX_MIRROR_ROUGHNESS, Needs};

@@ -22,8 +22,8 @@ use std::time::Duration;
 use serde::Serialize;
 
 use crate::Result;
-use crate::compile::Needs;
 use crate::device::DeviceArrays;
+use crate::device::Needs;
 use crate::device::layout::{FrameParams, Hit, Ray};
 use crate::image::Image;
 

@@ -2,7 +2,7 @@
 
 use glam::{DAffine3, DQuat, DVec3, Vec3};
 use rayon::prelude::*;
-use ropewalk::accel::{Blas, BuildParams, TopLevel};
+use ropewalk::accel::{Blas, BuildParams, Tlas};
 use ropewalk::device::DeviceArrays;
 use ropewalk::device::layout::{Hit, NONE, Node, PrimitiveRange, Ray};
 use ropewalk::math::Aabb;
@@ -31,7 +31,7 @@ fn built(meshes: &[Mesh], placed: &[Placed], params: &BuildParams) -> DeviceArra
         Aabb { min: bounds.min - pad, max: bounds.max + pad }
     };
     let boxes: Vec<Aabb> = placed.iter().map(world_box).collect();
-    TopLevel::default().build(&mut arrays.tlas_nodes, &boxes);
+    Tlas::default().build(&mut arrays.tlas_nodes, &boxes);
     arrays.blas_nodes.replace(&nodes);
     arrays.triangles.replace(&triangles);
     arrays.instances.replace(&instances);

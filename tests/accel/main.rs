@@ -9,6 +9,6 @@ mod meshes;
 mod quality;
 mod refit;
 mod structure;
-mod top_level;
-mod top_level_updates;
+mod tlas;
+mod tlas_updates;
 mod world_boxes;

@@ -1,6 +1,6 @@
 //! Frames: sizes, bands, what stays on the GPU and what is read.
 
-use ropewalk::compile::Needs;
+use ropewalk::device::Needs;
 use ropewalk::graph::NodeKey;
 use ropewalk::trace::{Emulated, FrameRequest, Tracer as _};
 use ropewalk::{Error, image::Image};

@@ -1,8 +1,8 @@
 //! Shadows through glass that is in several leaves of its structure are as deep as through glass that is in one.
 
 use ropewalk::accel::{Blas, BuildParams};
-use ropewalk::compile::Needs;
 use ropewalk::device::DeviceArrays;
+use ropewalk::device::Needs;
 use ropewalk::device::layout::{Instance, InstanceFlags, LIGHT_DIRECTIONAL, Light, MaterialFlags, Streams};
 use ropewalk::glam::Vec3;
 use ropewalk::graph::{Geometry, Structure};

@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use glam::{DVec3, Vec3};
-use ropewalk::accel::Update;
+use ropewalk::accel::TlasUpdate;
 use ropewalk::compile::Compiler;
 use ropewalk::device::{DeviceArrays, DeviceBuffer};
 use ropewalk::graph::Switch;
@@ -52,7 +52,7 @@ pub struct Cost {
     /// From the end of the edit to ready to trace.
     pub total: Duration,
     pub bytes: usize,
-    pub update: Update,
+    pub update: TlasUpdate,
 }
 
 /// A scene in which every joint shows a box, compiled.

@@ -6,22 +6,22 @@
     reason = "what is passed by its name is called, a closure marked so is not, and a call takes the lanes through memory"
 )]
 
-mod answers;
-mod ask;
-mod boxes;
-mod lanes;
-mod local;
-mod rays;
-mod single;
+mod dispatch;
+mod hybrid;
+mod local_packet;
+mod node_test;
+mod packet_queries;
+mod packet_traversal;
+mod simd;
+mod single_traversal;
 mod tile;
-mod together;
-mod top;
-mod triangles;
-mod walk;
+mod tlas_traversal;
+mod triangle_test;
+mod wide_traversal;
 
 use rayon::prelude::*;
 
-use self::rays::Rays;
+use self::dispatch::Rays;
 use self::tile::TileTracer;
 use super::kernel::{KernelScene, Pixel};
 use super::planes::Planes;
@@ -167,7 +167,7 @@ mod tests {
     use bytemuck::Zeroable as _;
 
     use super::*;
-    use crate::compile::Needs;
+    use crate::device::Needs;
     use crate::device::layout::FrameParams;
 
     /// So that the limit on the pixels of a frame is one on memory, however long and thin the frame.

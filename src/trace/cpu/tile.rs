@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 
-use super::rays::Rays;
+use super::dispatch::Rays;
 use crate::device::layout::{FrameParams, Hit, Light, Ray};
 use crate::trace::kernel::{KernelScene, Lit, Met, Path, Pixel, camera_ray, shining};
 

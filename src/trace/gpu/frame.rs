@@ -5,7 +5,7 @@ use wgpu::{BufferUsages, TextureFormat, TextureUsages};
 
 use super::context::Context;
 use super::timer::Timer;
-use crate::compile::Needs;
+use crate::device::Needs;
 use crate::device::layout::FrameParams;
 use crate::trace::FrameRequest;
 use crate::trace::kernel::most_rays;

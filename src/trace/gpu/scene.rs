@@ -6,7 +6,7 @@ use bytemuck::Pod;
 
 use super::array::{ArrayBuffer, Contents, Copied};
 use super::context::Context;
-use crate::compile::Needs;
+use crate::device::Needs;
 use crate::device::{DeviceArrays, DeviceBuffer};
 use crate::trace::Layout;
 use crate::trace::shader::{ARRAY_COUNT, Include, Split, Splits, Variant};

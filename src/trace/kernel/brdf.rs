@@ -8,7 +8,7 @@ use glam::{Vec3, Vec4Swizzles as _};
 use super::material::normal_reflectance;
 use super::math::{dot3, max, mix3};
 use super::surface::{GRAZING, Surface, unit_or};
-use crate::compile::MAX_MIRROR_ROUGHNESS;
+use crate::device::MAX_MIRROR_ROUGHNESS;
 
 /// Roughness up to which a surface is a mirror. Above [`MAX_MIRROR_ROUGHNESS`] nothing is seen in it.
 pub(super) const MIRROR_ROUGHNESS: f32 = 0.1;

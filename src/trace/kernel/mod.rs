@@ -89,10 +89,10 @@ impl<'a> KernelScene<'a> {
 mod tests {
     use std::collections::BTreeMap;
 
-    use crate::compile::{MAX_MIRROR_ROUGHNESS, Needs};
     use crate::device::layout::{
         InstanceFlags, LIGHT_DIRECTIONAL, LIGHT_POINT, LIGHT_SPOT, MaterialFlags, NONE, Node, TextureFlags,
     };
+    use crate::device::{MAX_MIRROR_ROUGHNESS, Needs};
     use crate::trace::shader::EntryPoint;
 
     /// Constants by name: `{:?}` writes as many digits as tell an `f32` from its neighbours, and a point.

@@ -26,7 +26,7 @@ use super::sky::{sky_ambient, sky_blurred, sky_radiance};
 use super::surface::{Surface, raise, surface_at, unit_or};
 use super::traverse::Traverse;
 #[cfg(feature = "gpu")]
-use crate::compile::Needs;
+use crate::device::Needs;
 use crate::device::layout::{FrameParams, Hit, Light, MaterialFlags, NONE, Ray};
 
 /// The most reflections and refractions of a path, whatever `max_depth` says: [`View::MAX_DEPTH`](crate::View::MAX_DEPTH).

@@ -1,7 +1,7 @@
 //! The kernel's queries as text for an application's own compute shader.
 
 use super::{ARRAY_COUNT, MATERIALS, OPAQUE, SURFACES, Variant};
-use crate::compile::Needs;
+use crate::device::Needs;
 use crate::trace::Layout;
 
 /// WGSL with which a compute shader of the application's traces rays through the scene, and what it binds for that.

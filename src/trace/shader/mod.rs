@@ -10,7 +10,7 @@ pub(crate) use splits::ARRAY_COUNT;
 pub use splits::{Split, Splits};
 
 use super::Layout;
-use crate::compile::{MAX_MIRROR_ROUGHNESS, Needs};
+use crate::device::{MAX_MIRROR_ROUGHNESS, Needs};
 
 /// The kernels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

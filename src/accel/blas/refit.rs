@@ -1,0 +1,330 @@
+//! Bottom-level structures whose triangles have moved: new boxes in nodes that stay where they are.
+
+use std::ops::Range;
+
+use glam::{Vec3, Vec4, Vec4Swizzles};
+use rayon::prelude::*;
+
+use super::refit_wide::{refit_wide, triangle_bounds};
+use crate::accel::padding::padded_lanes;
+use crate::accel::stats::half_area;
+use crate::accel::tree::LaneBox;
+use crate::device::layout::{NONE, Node, Triangle, WideNode};
+use crate::graph::Geometry;
+use crate::math::Aabb;
+
+/// Subtrees of at most so many nodes are refitted by one thread.
+const TASK_SIZE: usize = 1 << 11;
+
+/// What became of a structure.
+#[derive(Clone, Debug)]
+pub(crate) struct Refitted {
+    /// The box around the triangles, not padded.
+    pub(crate) bounds: Aabb,
+    /// The [cost](crate::accel::Stats::sah_cost) that the structure had.
+    pub(crate) old_cost: f64,
+    /// And the one that it has now.
+    pub(crate) cost: f64,
+    /// Where nodes changed; ascending.
+    pub(crate) changed_nodes: Vec<Range<usize>>,
+    /// Where wide nodes changed: from the first to the last.
+    pub(crate) changed_wide_nodes: Option<Range<usize>>,
+    /// Where triangles changed; ascending.
+    pub(crate) changed_triangles: Vec<Range<usize>>,
+}
+
+/// Puts the triangles of a structure where those of `geometry` are now, and computes all boxes anew, from the leaves to the
+/// root. O(n), on all threads of the current rayon pool. Boxes of leaves are as a builder makes them; that of an inner node is
+/// the union of its children's.
+///
+/// `None` where the structure must be built anew, since it does not hold the triangles that can be hit, each once: some got or
+/// lost two equal corners, or it is one that repeats triangles. What it holds is then unspecified.
+pub(crate) fn refit(
+    nodes: &mut [Node],
+    wide_nodes: &mut [WideNode],
+    triangles: &mut [Triangle],
+    geometry: &Geometry,
+    triangle_cost: f32,
+) -> Option<Refitted> {
+    if triangles.len() != geometry.indices.len() && triangles.len() != count_with_area(geometry) {
+        return None;
+    }
+    // 1. Subtrees, side by side, each with its triangles.
+    let node_count = nodes.len();
+    let old_root = nodes.first().map_or(1.0, half_area);
+    let (upper, ranges) = split(nodes);
+    let tasks = tasks(nodes, triangles, ranges);
+    let subtrees: Vec<(Task<'_>, Subtree)> = tasks
+        .into_par_iter()
+        .map(|mut task| {
+            let subtree = task.refit(geometry, node_count, triangle_cost)?;
+            Some((task, subtree))
+        })
+        .collect::<Option<_>>()?;
+    let mut bounds = LaneBox::EMPTY;
+    let mut refitted = Refitted {
+        bounds: Aabb::EMPTY,
+        old_cost: 0.0,
+        cost: 0.0,
+        changed_nodes: Vec::new(),
+        changed_wide_nodes: None,
+        changed_triangles: Vec::new(),
+    };
+    for (task, subtree) in subtrees {
+        bounds = bounds.union(subtree.bounds);
+        refitted.old_cost += subtree.costs[0];
+        refitted.cost += subtree.costs[1];
+        if subtree.has_changed {
+            append(&mut refitted.changed_nodes, task.first_node..task.first_node + task.nodes.len());
+            append(&mut refitted.changed_triangles, task.first_triangle..task.first_triangle + task.triangles.len());
+        }
+    }
+    refitted.bounds = Aabb { min: bounds.min.xyz(), max: bounds.max.xyz() };
+    // 2. What is above them.
+    for index in upper.into_iter().rev() {
+        let old = nodes[index];
+        let (bounds, children) = around_children(nodes, index, 0, node_count);
+        nodes[index] = with_bounds(&old, &bounds);
+        refitted.old_cost += half_area(&old) * children;
+        refitted.cost += half_area(&nodes[index]) * children;
+        if nodes[index] != old {
+            refitted.changed_nodes.push(index..index + 1);
+        }
+    }
+    refitted.changed_nodes.sort_unstable_by_key(|range| range.start);
+    // The root is fetched once, and all else in proportion to it.
+    refitted.old_cost = 1.0 + refitted.old_cost / old_root;
+    refitted.cost = 1.0 + refitted.cost / nodes.first().map_or(1.0, half_area);
+    // 3. The wide nodes.
+    if !refitted.changed_triangles.is_empty() {
+        refitted.changed_wide_nodes = refit_wide(wide_nodes, triangles);
+    }
+    Some(refitted)
+}
+
+/// Triangles that can be hit.
+fn count_with_area(geometry: &Geometry) -> usize {
+    let has_area = |triangle: &&[u32; 3]| {
+        let [a, b, c] = triangle.map(|v| geometry.positions[v as usize]);
+        a != b && b != c && c != a
+    };
+    geometry.indices.par_chunks(1 << 13).map(|chunk| chunk.iter().filter(has_area).count()).sum()
+}
+
+/// The inner nodes above subtrees of some size, and these; both ascending.
+fn split(nodes: &[Node]) -> (Vec<usize>, Vec<Range<usize>>) {
+    let (mut upper, mut subtrees, mut index) = (Vec::new(), Vec::new(), 0);
+    while index < nodes.len() {
+        let end = end(&nodes[index], nodes.len());
+        if end - index > TASK_SIZE {
+            upper.push(index);
+            index += 1;
+        } else {
+            subtrees.push(index..end);
+            index = end;
+        }
+    }
+    (upper, subtrees)
+}
+
+/// A subtree with its triangles, which lie beside each other as its leaves do.
+struct Task<'a> {
+    nodes: &'a mut [Node],
+    first_node: usize,
+    triangles: &'a mut [Triangle],
+    first_triangle: usize,
+}
+
+fn tasks<'a>(
+    mut nodes: &'a mut [Node],
+    mut triangles: &'a mut [Triangle],
+    subtrees: Vec<Range<usize>>,
+) -> Vec<Task<'a>> {
+    let triangle_count = triangles.len();
+    // A subtree's first leaf is where the first children lead.
+    let first_triangle = |subtree: &Range<usize>| {
+        let leaf = nodes[subtree.start..].iter().find(|node| node.primitives.count() > 0);
+        leaf.map_or(triangle_count, |leaf| leaf.primitives.first() as usize)
+    };
+    let starts: Vec<usize> = subtrees.iter().map(first_triangle).chain([triangle_count]).collect();
+    let mut node_start = 0;
+    let mut tasks = Vec::with_capacity(subtrees.len());
+    for (subtree, starts) in subtrees.into_iter().zip(starts.windows(2)) {
+        let (_, rest) = std::mem::take(&mut nodes).split_at_mut(subtree.start - node_start);
+        let (of_nodes, rest) = rest.split_at_mut(subtree.len());
+        (nodes, node_start) = (rest, subtree.end);
+        let (of_triangles, rest) = std::mem::take(&mut triangles).split_at_mut(starts[1] - starts[0]);
+        triangles = rest;
+        tasks.push(Task {
+            nodes: of_nodes,
+            first_node: subtree.start,
+            triangles: of_triangles,
+            first_triangle: starts[0],
+        });
+    }
+    tasks
+}
+
+/// What became of a subtree.
+struct Subtree {
+    bounds: LaneBox,
+    /// Old and new; in units of area.
+    costs: [f64; 2],
+    has_changed: bool,
+}
+
+impl Task<'_> {
+    /// `None` where a triangle has two equal corners.
+    fn refit(&mut self, geometry: &Geometry, node_count: usize, triangle_cost: f32) -> Option<Subtree> {
+        let mut subtree = Subtree { bounds: LaneBox::EMPTY, costs: [0.0; 2], has_changed: self.fetch(geometry)? };
+        // Children before parents.
+        for index in (0..self.nodes.len()).rev() {
+            let node = self.nodes[index];
+            let count = node.primitives.count();
+            let (bounds, fetches) = if count > 0 {
+                let first = node.primitives.first() as usize - self.first_triangle;
+                let bounds = triangle_bounds(&self.triangles[first..first + count as usize]);
+                subtree.bounds = subtree.bounds.union(bounds);
+                (padded_lanes(bounds), f64::from(count) * f64::from(triangle_cost))
+            } else {
+                around_children(self.nodes, index, self.first_node, node_count)
+            };
+            let new = with_bounds(&node, &bounds);
+            self.nodes[index] = new;
+            subtree.costs[0] += half_area(&node) * fetches;
+            subtree.costs[1] += half_area(&new) * fetches;
+        }
+        Some(subtree)
+    }
+
+    /// Puts the triangles where those of `geometry` are. Whether any of them moved; `None` as [`refit`](Self::refit).
+    fn fetch(&mut self, geometry: &Geometry) -> Option<bool> {
+        let (mut difference, mut is_whole, mut zero) = (0, true, Vec3::ZERO);
+        for triangle in &mut *self.triangles {
+            let corners = geometry.indices.get(triangle.primitive as usize)?;
+            let [a, b, c] = corners.map(|v| geometry.positions.get(v as usize).copied().unwrap_or(Vec3::NAN));
+            is_whole &= (a != b) & (b != c) & (c != a);
+            // Unless some number is not finite.
+            zero += (a + b * 0.0 + c * 0.0) * 0.0;
+            let new = Triangle { v0: a.to_array(), v1: b.to_array(), v2: c.to_array(), ..*triangle };
+            let [new_bits, old_bits] = [new, *triangle].map(bytemuck::cast::<_, [u32; 12]>);
+            difference |= new_bits.iter().zip(&old_bits).fold(0, |bits, (a, b)| bits | (a ^ b));
+            *triangle = new;
+        }
+        (is_whole && zero == Vec3::ZERO).then_some(difference != 0)
+    }
+}
+
+/// The box around an inner node's children, and how many these are. `nodes` start at `first` of the whole array.
+fn around_children(nodes: &[Node], index: usize, first: usize, node_count: usize) -> (LaneBox, f64) {
+    let (mut bounds, mut children) = (LaneBox::EMPTY, 0.0);
+    let end_of = |node: &Node| end(node, node_count) - first;
+    let (mut child, end) = (index + 1, end_of(&nodes[index]));
+    while child < end {
+        let [min, max] = bytemuck::cast::<_, [Vec4; 2]>(nodes[child]);
+        bounds = bounds.union(LaneBox { min, max });
+        children += 1.0;
+        child = end_of(&nodes[child]);
+    }
+    (bounds, children)
+}
+
+/// A node with another box. What is in the fourth lanes of that does not matter.
+#[inline]
+fn with_bounds(node: &Node, bounds: &LaneBox) -> Node {
+    let [min, max] = bytemuck::cast::<_, [Vec4; 2]>(*node);
+    bytemuck::cast([bounds.min.with_w(min.w), bounds.max.with_w(max.w)])
+}
+
+/// The index after a node's subtree.
+fn end(node: &Node, node_count: usize) -> usize {
+    if node.escape_index == NONE { node_count } else { node.escape_index as usize }
+}
+
+/// Adds a range after the others, to the last one where they touch.
+fn append(ranges: &mut Vec<Range<usize>>, range: Range<usize>) {
+    match ranges.last_mut() {
+        Some(last) if last.end == range.start => last.end = range.end,
+        _ => ranges.push(range),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::accel::stats::Stats;
+    use crate::accel::validate::check_nodes;
+    use crate::accel::{Blas, BuildParams};
+
+    const COST: f32 = 1.5;
+
+    /// A wavy sheet of 2 * 100 * 100 triangles.
+    fn sheet(phase: f32) -> Geometry {
+        let place = |i: u32| {
+            let [x, y] = [i % 101, i / 101].map(|i| i as f32 / 10.0);
+            Vec3::new(x, y, (x + phase).sin() * (y * (1.0 + phase)).cos())
+        };
+        let cells = (0..10_000_u32).map(|i| i + i / 100);
+        let triangles = cells.flat_map(|a| [[a, a + 1, a + 102], [a, a + 102, a + 101]]);
+        Geometry::new((0..101 * 101).map(place).collect::<Vec<_>>(), triangles.collect::<Vec<_>>())
+    }
+
+    /// The same hierarchy without some of its inner nodes, so that others have up to 2^5 children.
+    fn thinned(nodes: &[Node]) -> Vec<Node> {
+        let stays = |(i, node): (usize, &Node)| i == 0 || node.primitives.count() > 0 || i % 5 == 0;
+        let mut places = vec![0; nodes.len() + 1];
+        for (i, node) in nodes.iter().enumerate() {
+            places[i + 1] = places[i] + u32::from(stays((i, node)));
+        }
+        let linked = |(_, node): (usize, &Node)| match node.escape_index {
+            NONE => *node,
+            escape_index => Node { escape_index: places[escape_index as usize], ..*node },
+        };
+        nodes.iter().enumerate().filter(|&node| stays(node)).map(linked).collect()
+    }
+
+    #[test]
+    fn nodes_of_many_children_and_costs() {
+        let blas = Blas::build(&sheet(0.0), &BuildParams::default()).unwrap();
+        for mut nodes in [blas.nodes.clone(), thinned(&blas.nodes)] {
+            let mut triangles = blas.triangles.clone();
+            let old_cost = Stats::of(&nodes, COST).sah_cost;
+            let refitted = refit(&mut nodes, &mut [], &mut triangles, &sheet(1.0), COST).unwrap();
+            let valid = check_nodes(&nodes, |range| {
+                let first = range.first() as usize;
+                let bounds = around(&triangles[first..first + range.count() as usize]);
+                Some(Aabb { min: bounds.min.xyz(), max: bounds.max.xyz() })
+            });
+            assert_eq!(valid, Ok(()));
+            let cost = Stats::of(&nodes, COST).sah_cost;
+            assert!(cost > old_cost * 1.01, "{old_cost} to {cost}");
+            assert!((refitted.old_cost / old_cost - 1.0).abs() < 1e-9, "{} {old_cost}", refitted.old_cost);
+            assert!((refitted.cost / cost - 1.0).abs() < 1e-9, "{} {cost}", refitted.cost);
+            let total = |ranges: &[Range<usize>]| ranges.iter().map(ExactSizeIterator::len).sum::<usize>();
+            assert_eq!(total(&refitted.changed_nodes), nodes.len());
+            assert_eq!(total(&refitted.changed_triangles), triangles.len());
+        }
+    }
+
+    #[test]
+    fn only_what_changed_is_told() {
+        let mut blas = Blas::build(&sheet(0.0), &BuildParams::default()).unwrap();
+        assert!(blas.refit(&sheet(0.0)));
+        let before = blas.clone();
+        let mut geometry = sheet(0.0);
+        geometry.positions =
+            geometry.positions.iter().enumerate().map(|(i, p)| if i == 5 { *p * 0.99 } else { *p }).collect();
+        let refitted = refit(&mut blas.nodes, &mut blas.wide_nodes, &mut blas.triangles, &geometry, COST).unwrap();
+        let told = |ranges: &[Range<usize>], i: usize| ranges.iter().any(|range| range.contains(&i));
+        for (i, (new, old)) in blas.nodes.iter().zip(&before.nodes).enumerate() {
+            assert!(new == old || told(&refitted.changed_nodes, i), "node {i}");
+        }
+        for (i, (new, old)) in blas.triangles.iter().zip(&before.triangles).enumerate() {
+            assert!(new == old || told(&refitted.changed_triangles, i), "triangle {i}");
+        }
+        let count: usize = refitted.changed_triangles.iter().map(ExactSizeIterator::len).sum();
+        assert!(count > 0 && count < blas.triangles.len() / 2, "{count} of {}", blas.triangles.len());
+        let nothing = refit(&mut blas.nodes, &mut blas.wide_nodes, &mut blas.triangles, &geometry, COST).unwrap();
+        assert!(nothing.changed_nodes.is_empty() && nothing.changed_triangles.is_empty());
+    }
+}

@@ -1,0 +1,343 @@
+//! What sixteen rays have found so far.
+
+use fearless_simd::prelude::*;
+use fearless_simd::{Simd, f32x16, mask32x16, u32x16};
+use glam::Vec3;
+
+use super::simd::{LANES, Numbers, lanes_of, load};
+use super::triangle_test::Crossings;
+use crate::device::layout::{Hit, Instance, InstanceFlags, NONE, Ray, WideNode};
+use crate::trace::kernel::{KernelScene, is_closer, is_hole};
+use crate::trace::queries::{Any, Candidate, Closest, Query, Transmittance, stops};
+
+/// Where triangles are met.
+pub(super) struct Place<'a> {
+    pub(super) scene: &'a KernelScene<'a>,
+    /// The instance's index.
+    pub(super) index: u32,
+    pub(super) instance: &'a Instance,
+    /// The structure of its geometry, and what follows it.
+    pub(super) nodes: &'a [WideNode],
+}
+
+impl<'a> Place<'a> {
+    /// `None` where the instance is hidden by its mask.
+    #[inline(always)]
+    pub(super) fn of(scene: &'a KernelScene<'a>, index: u32, ray_mask: u32) -> Option<Self> {
+        let instance = &scene.instances[index as usize];
+        if instance.mask & ray_mask == 0 {
+            return None;
+        }
+        let first_node = scene.geometries[instance.geometry as usize].first_wide_node;
+        let nodes = &scene.wide_nodes[first_node as usize..];
+        Some(Self { scene, index, instance, nodes })
+    }
+}
+
+/// One of sixteen.
+pub(super) struct Lane<'a, A> {
+    pub(super) answers: &'a mut A,
+    pub(super) lane: usize,
+}
+
+impl<A: Answers> Lane<'_, A> {
+    /// How far it goes.
+    #[inline(always)]
+    pub(super) fn t_max(&self) -> f32 {
+        self.answers.t_max()[self.lane]
+    }
+
+    /// It crosses a triangle.
+    #[inline(always)]
+    pub(super) fn cross(&mut self, place: &Place<'_>, candidate: &Candidate) {
+        let mut query = self.answers.query(self.lane);
+        query.cross(place.scene, place.index, place.instance, candidate);
+        self.answers.set_query(self.lane, query);
+    }
+}
+
+/// The queries of sixteen rays.
+pub(super) trait Answers {
+    type Query: Query;
+    /// What is said of a ray in the end.
+    type Hit;
+    /// What is said of a ray that meets nothing.
+    const MISS: Self::Hit;
+
+    /// Of rays that have met nothing and go that far.
+    fn new<S: Simd>(t_max: f32x16<S>) -> Self;
+
+    /// Of these rays.
+    fn hits<S: Simd>(&self, simd: S, scene: &KernelScene<'_>, rays: &[Ray; LANES], ray_mask: u32)
+    -> [Self::Hit; LANES];
+
+    /// How far each ray goes.
+    fn t_max(&self) -> &Numbers;
+
+    fn query(&self, lane: usize) -> Self::Query;
+
+    fn set_query(&mut self, lane: usize, query: Self::Query);
+
+    /// The rays of these lanes cross a triangle no farther than `t_max`.
+    fn accept<S: Simd>(&mut self, simd: S, place: &Place<'_>, triangle: u32, lanes: u64, at: &Crossings<f32x16<S>>);
+}
+
+/// The closest hits.
+#[repr(C, align(64))]
+pub(super) struct ClosestHits {
+    t: Numbers,
+    u: Numbers,
+    v: Numbers,
+    instance: [u32; LANES],
+    primitive: [u32; LANES],
+    triangle: [u32; LANES],
+    back: u64,
+}
+
+#[inline(always)]
+fn interleaved<S: Simd>(v: [f32x16<S>; 8]) -> [f32x16<S>; 8] {
+    let (a, b, c, d) = (v[0].interleave(v[4]), v[1].interleave(v[5]), v[2].interleave(v[6]), v[3].interleave(v[7]));
+    [a.0, a.1, b.0, b.1, c.0, c.1, d.0, d.1]
+}
+
+impl Answers for ClosestHits {
+    type Query = Closest;
+    type Hit = Hit;
+    const MISS: Hit = Hit::MISS;
+
+    #[inline(always)]
+    fn new<S: Simd>(t_max: f32x16<S>) -> Self {
+        let Hit { u, v, instance, primitive, triangle, .. } = Hit::MISS;
+        Self {
+            t: t_max.into(),
+            u: [u; LANES],
+            v: [v; LANES],
+            instance: [instance; LANES],
+            primitive: [primitive; LANES],
+            triangle: [triangle; LANES],
+            back: 0,
+        }
+    }
+
+    #[inline(always)]
+    fn hits<S: Simd>(&self, simd: S, _: &KernelScene<'_>, _: &[Ray; LANES], _: u32) -> [Hit; LANES] {
+        let bits = |v: [u32; LANES]| u32x16::simd_from(simd, v).bitcast::<f32x16<S>>();
+        let is_miss = u32x16::simd_from(simd, self.instance).simd_eq(NONE);
+        let back = mask32x16::from_bitmask(simd, self.back).select(u32x16::splat(simd, 1), u32x16::splat(simd, 0));
+        let v = [
+            is_miss.select(f32x16::splat(simd, f32::MAX), load(simd, self.t)),
+            load(simd, self.u),
+            load(simd, self.v),
+            bits(self.instance),
+            bits(self.primitive),
+            bits(self.triangle),
+            back.bitcast(),
+            f32x16::splat(simd, 0.0),
+        ];
+        // Three times one element of each of two vectors in turn: then all eight words of a hit follow one another.
+        let v = interleaved(interleaved(interleaved(v)));
+        let words: [Numbers; 8] =
+            [v[0].into(), v[1].into(), v[2].into(), v[3].into(), v[4].into(), v[5].into(), v[6].into(), v[7].into()];
+        bytemuck::cast(words)
+    }
+
+    #[inline(always)]
+    fn t_max(&self) -> &Numbers {
+        &self.t
+    }
+
+    #[inline(always)]
+    fn query(&self, lane: usize) -> Closest {
+        Closest(Hit {
+            t: self.t[lane],
+            u: self.u[lane],
+            v: self.v[lane],
+            instance: self.instance[lane],
+            primitive: self.primitive[lane],
+            triangle: self.triangle[lane],
+            back: (self.back >> lane & 1) as u32,
+            _pad: 0,
+        })
+    }
+
+    #[inline(always)]
+    fn set_query(&mut self, lane: usize, Closest(hit): Closest) {
+        self.t[lane] = hit.t;
+        self.u[lane] = hit.u;
+        self.v[lane] = hit.v;
+        self.instance[lane] = hit.instance;
+        self.primitive[lane] = hit.primitive;
+        self.triangle[lane] = hit.triangle;
+        self.back = self.back & !(1 << lane) | u64::from(hit.back) << lane;
+    }
+
+    /// As [`Closest::cross`](Query::cross).
+    #[inline(always)]
+    fn accept<S: Simd>(&mut self, simd: S, place: &Place<'_>, triangle: u32, lanes: u64, at: &Crossings<f32x16<S>>) {
+        let flags = InstanceFlags::from_bits_retain(place.instance.flags);
+        let crossed = &place.scene.triangles[triangle as usize];
+        let mut lanes = lanes;
+        if flags.contains(InstanceFlags::CULL_BACK) {
+            lanes &= !at.back;
+        }
+        if flags.contains(InstanceFlags::ALPHA_MASK) {
+            let (u, v) = (at.u.as_array(), at.v.as_array());
+            for lane in lanes_of(lanes) {
+                lanes &= !(u64::from(is_hole(place.scene, place.instance, crossed, u[lane], v[lane])) << lane);
+            }
+        }
+        let t = load(simd, self.t);
+        let ties = at.t.simd_eq(t).to_bitmask() & lanes;
+        for lane in lanes_of(ties) {
+            let is_closer = is_closer(self.t[lane], place.index, crossed.primitive, &self.query(lane).0);
+            lanes &= !(u64::from(!is_closer) << lane);
+        }
+        let is_closer = mask32x16::from_bitmask(simd, lanes);
+        let set = |words: &mut [u32; LANES], word: u32| {
+            let old = u32x16::simd_from(simd, *words);
+            *words = is_closer.select(u32x16::splat(simd, word), old).into();
+        };
+        self.t = is_closer.select(at.t, t).into();
+        self.u = is_closer.select(at.u, load(simd, self.u)).into();
+        self.v = is_closer.select(at.v, load(simd, self.v)).into();
+        set(&mut self.instance, place.index);
+        set(&mut self.primitive, crossed.primitive);
+        set(&mut self.triangle, triangle);
+        self.back = self.back & !lanes | at.back & lanes;
+    }
+}
+
+/// Whether anything is hit.
+pub(super) struct AnyHits {
+    t_max: Numbers,
+    /// A bit for each ray that hits.
+    hit: u64,
+}
+
+impl Answers for AnyHits {
+    type Query = Any;
+    type Hit = bool;
+    const MISS: bool = false;
+
+    #[inline(always)]
+    fn new<S: Simd>(t_max: f32x16<S>) -> Self {
+        Self { t_max: t_max.into(), hit: 0 }
+    }
+
+    #[inline(always)]
+    fn hits<S: Simd>(&self, _: S, _: &KernelScene<'_>, _: &[Ray; LANES], _: u32) -> [bool; LANES] {
+        let mut hits = [false; LANES];
+        for (lane, hit) in hits.iter_mut().enumerate() {
+            *hit = self.hit >> lane & 1 != 0;
+        }
+        hits
+    }
+
+    #[inline(always)]
+    fn t_max(&self) -> &Numbers {
+        &self.t_max
+    }
+
+    #[inline(always)]
+    fn query(&self, lane: usize) -> Any {
+        Any { t_max: self.t_max[lane], is_hit: self.hit >> lane & 1 != 0 }
+    }
+
+    #[inline(always)]
+    fn set_query(&mut self, lane: usize, query: Any) {
+        self.t_max[lane] = query.t_max;
+        self.hit |= u64::from(query.is_hit) << lane;
+    }
+
+    /// As [`Any::cross`](Query::cross).
+    #[inline(always)]
+    fn accept<S: Simd>(&mut self, simd: S, place: &Place<'_>, triangle: u32, lanes: u64, at: &Crossings<f32x16<S>>) {
+        let flags = InstanceFlags::from_bits_retain(place.instance.flags);
+        let mut lanes = lanes;
+        if flags.contains(InstanceFlags::TRANSLUCENT) {
+            let (u, v) = (at.u.as_array(), at.v.as_array());
+            let crossed = &place.scene.triangles[triangle as usize];
+            for lane in lanes_of(lanes) {
+                let stops = stops(place.scene, place.instance, crossed, u[lane], v[lane]);
+                lanes &= !(u64::from(!stops) << lane);
+            }
+        }
+        let ended = f32x16::splat(simd, f32::NEG_INFINITY);
+        self.t_max = mask32x16::from_bitmask(simd, lanes).select(ended, load(simd, self.t_max)).into();
+        self.hit |= lanes;
+    }
+}
+
+/// How much light gets through. A product of tints is rounded in the order in which the packet meets them, so that its last bits go by the rays
+/// that are asked together.
+pub(super) struct Transmittances {
+    t_max: Numbers,
+    light: [Numbers; 3],
+    /// A bit for each ray that has met a layered instance.
+    layers: u64,
+}
+
+impl Answers for Transmittances {
+    type Query = Transmittance;
+    type Hit = Vec3;
+    const MISS: Vec3 = Vec3::ONE;
+
+    #[inline(always)]
+    fn new<S: Simd>(t_max: f32x16<S>) -> Self {
+        Self { t_max: t_max.into(), light: [[1.0; LANES]; 3], layers: 0 }
+    }
+
+    #[inline(always)]
+    fn hits<S: Simd>(&self, _: S, scene: &KernelScene<'_>, rays: &[Ray; LANES], ray_mask: u32) -> [Vec3; LANES] {
+        let mut light = [Vec3::ONE; LANES];
+        for (lane, light) in light.iter_mut().enumerate() {
+            *light = self.query(lane).light(scene, &rays[lane], ray_mask);
+        }
+        light
+    }
+
+    #[inline(always)]
+    fn t_max(&self) -> &Numbers {
+        &self.t_max
+    }
+
+    #[inline(always)]
+    fn query(&self, lane: usize) -> Transmittance {
+        let light = Vec3::new(self.light[0][lane], self.light[1][lane], self.light[2][lane]);
+        Transmittance { t_max: self.t_max[lane], light, has_layers: self.layers >> lane & 1 != 0 }
+    }
+
+    #[inline(always)]
+    fn set_query(&mut self, lane: usize, Transmittance { t_max, light, has_layers }: Transmittance) {
+        self.t_max[lane] = t_max;
+        for (of_lanes, light) in self.light.iter_mut().zip(light.to_array()) {
+            of_lanes[lane] = light;
+        }
+        self.layers = self.layers & !(1 << lane) | u64::from(has_layers) << lane;
+    }
+
+    /// As [`Transmittance::cross`](Query::cross).
+    #[inline(always)]
+    fn accept<S: Simd>(&mut self, simd: S, place: &Place<'_>, triangle: u32, lanes: u64, at: &Crossings<f32x16<S>>) {
+        let flags = InstanceFlags::from_bits_retain(place.instance.flags);
+        if flags.contains(InstanceFlags::TRANSLUCENT) {
+            let (t, u, v) = (at.t.as_array(), at.u.as_array(), at.v.as_array());
+            for lane in lanes_of(lanes) {
+                let back = at.back >> lane & 1 != 0;
+                let candidate = Candidate { t: t[lane], u: u[lane], v: v[lane], back, triangle };
+                Lane { answers: self, lane }.cross(place, &candidate);
+            }
+            return;
+        }
+        let stopped = mask32x16::from_bitmask(simd, lanes);
+        let set = |numbers: &mut Numbers, number: f32| {
+            *numbers = stopped.select(f32x16::splat(simd, number), load(simd, *numbers)).into();
+        };
+        set(&mut self.t_max, f32::NEG_INFINITY);
+        let [red, green, blue] = &mut self.light;
+        set(red, 0.0);
+        set(green, 0.0);
+        set(blue, 0.0);
+        self.layers &= !lanes;
+    }
+}
