@@ -6,15 +6,20 @@ use comfy_table::Table;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use ropewalk::glam::{DQuat, DVec3, Vec3};
 use ropewalk::{
-    Core, CoreKey, DeviceChoice, FrameReport, Geometry, GeometryKey, Keep, Light, Lod, Material, MaterialKey, NodeKey,
-    Renderer, RendererOptions, Result, Scene, Switch, Transform, View,
+    Core, CoreKey, DeviceChoice, FrameReport, Geometry, GeometryKey, KeepTransform, Light, Lod, Material, MaterialKey,
+    NodeKey, Renderer, RendererOptions, Result, Scene, Switch, Transform, View,
 };
 
 fn main() -> Result<()> {
     let mut lamps = Lamps::new()?;
     let mut renderer = Renderer::new(&RendererOptions { device: DeviceChoice::Auto })?;
     let view = View::framing(&mut lamps.scene, 160, 120)?;
-    println!("{} ({}), {} nodes", renderer.device().executor, renderer.device().name, lamps.scene.node_count());
+    println!(
+        "{} ({}), {} nodes",
+        renderer.device_info().executor,
+        renderer.device_info().name,
+        lamps.scene.node_count()
+    );
 
     let mut table = Table::new();
     table.load_style(UTF8_FULL_CONDENSED);
@@ -76,7 +81,7 @@ const EDITS: [(&str, Edit); 20] = [
     }),
     ("another kind of core", |lamps| lamps.scene.set_core(lamps.first, Core::Group)),
     ("move to another parent, staying in place", |lamps| {
-        lamps.scene.reparent(lamps.second, lamps.scene.root(), Keep::World)
+        lamps.scene.reparent(lamps.second, lamps.scene.root(), KeepTransform::World)
     }),
     ("remove one", |lamps| lamps.scene.remove(lamps.second)),
     ("toggle a switch", |lamps| {

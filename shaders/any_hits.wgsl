@@ -1,7 +1,7 @@
 // For each ray of a batch whether it meets anything opaque (1) or not (0), one invocation a ray.
 
 @group(1) @binding(0) var<uniform> batch: RayBatch;
-@group(1) @binding(1) var<storage, read> rays: array<Ray>;
+@group(1) @binding(1) var<storage, read> rays: array<RayRecord>;
 @group(1) @binding(2) var<storage, read_write> blocked: array<u32>;
 
 @compute @workgroup_size(64)

@@ -1,8 +1,8 @@
 // The closest hit of each ray of a batch, one invocation a ray.
 
 @group(1) @binding(0) var<uniform> batch: RayBatch;
-@group(1) @binding(1) var<storage, read> rays: array<Ray>;
-@group(1) @binding(2) var<storage, read_write> hits: array<Hit>;
+@group(1) @binding(1) var<storage, read> rays: array<RayRecord>;
+@group(1) @binding(2) var<storage, read_write> hits: array<HitRecord>;
 
 @compute @workgroup_size(64)
 fn closest_hits(@builtin(global_invocation_id) id: vec3<u32>) {

@@ -3,7 +3,7 @@
 // one loop, nested loops and loops one after the other, and leaves the count and a value that each turn depends on.
 // Twin of src/trace/gpu/probe.rs.
 
-struct Turns {
+struct LoopCounts {
     outer: u32,
     inner: u32,
     after: u32,
@@ -11,11 +11,11 @@ struct Turns {
 }
 
 struct Outcome {
-    turns: u32,
+    iterations: u32,
     value: u32,
 }
 
-@group(0) @binding(0) var<storage, read> turns: array<Turns>;
+@group(0) @binding(0) var<storage, read> iterations: array<LoopCounts>;
 @group(0) @binding(1) var<storage, read_write> outcomes: array<Outcome>;
 
 fn step(value: u32) -> u32 {
@@ -24,15 +24,15 @@ fn step(value: u32) -> u32 {
 
 @compute @workgroup_size(1)
 fn probe(@builtin(global_invocation_id) id: vec3<u32>) {
-    let planned = turns[id.x];
+    let planned = iterations[id.x];
     var outcome = Outcome(0u, id.x);
     for (var i = 0u; i < planned.outer; i++) {
         for (var j = 0u; j < planned.inner; j++) {
-            outcome = Outcome(outcome.turns + 1u, step(outcome.value));
+            outcome = Outcome(outcome.iterations + 1u, step(outcome.value));
         }
     }
     for (var i = 0u; i < planned.after; i++) {
-        outcome = Outcome(outcome.turns + 1u, step(outcome.value));
+        outcome = Outcome(outcome.iterations + 1u, step(outcome.value));
     }
     outcomes[id.x] = outcome;
 }

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::graph::{Object, SceneFileFault};
+use crate::graph::{ObjectKey, SceneFileError};
 
 /// Everything that can go wrong, with the key, path, index or limit and the likely cause.
 ///
@@ -14,15 +14,15 @@ pub enum Error {
     #[error("{object} is not in this scene: it was removed, or its key comes from another scene")]
     StaleKey {
         /// The key that was passed in.
-        object: Object,
+        object: ObjectKey,
     },
     /// A node was to become its own ancestor.
     #[error("{node} cannot become a child of {parent}, which is below it (or is it): that would close a cycle")]
     Cycle {
         /// The node that was to move.
-        node: Object,
+        node: ObjectKey,
         /// The parent it was to get.
-        parent: Object,
+        parent: ObjectKey,
     },
     /// The root node was to be removed, moved or given a core other than a group.
     #[error("the root node cannot be {attempt}: it lives as long as its scene")]
@@ -34,7 +34,7 @@ pub enum Error {
     #[error("{node} has a {found} core where a {expected} core is needed{}", wrong_core_hint(expected))]
     WrongCore {
         /// The node.
-        node: Object,
+        node: ObjectKey,
         /// The kind of core that the call needs.
         expected: &'static str,
         /// The kind of core that the node has.
@@ -46,13 +46,13 @@ pub enum Error {
     )]
     Singular {
         /// The node.
-        node: Object,
+        node: ObjectKey,
     },
     /// A scene contradicts itself: a defect of Ropewalk, which only `Scene::validate` looks for.
     #[error("internal defect: {object}: {what}")]
     Defect {
         /// The object that is wrong.
-        object: Object,
+        object: ObjectKey,
         /// What is wrong with it.
         what: &'static str,
     },
@@ -82,7 +82,7 @@ pub enum Error {
     #[error("{object}: {what}: the delta is damaged, or was made for another state of the scene")]
     Delta {
         /// The first object whose state does not fit.
-        object: Object,
+        object: ObjectKey,
         /// What does not fit.
         what: &'static str,
     },
@@ -96,7 +96,7 @@ pub enum Error {
     #[error("the edits were not applied: their queue was dropped")]
     QueueClosed,
     /// A scene file or a recording is damaged, or not one.
-    #[error("{path}: frame {frame}: {fault}")]
+    #[error("{path}: frame {frame}: {source}")]
     SceneFile {
         /// The file.
         path: PathBuf,
@@ -104,7 +104,7 @@ pub enum Error {
         frame: usize,
         /// What is wrong with it.
         #[source]
-        fault: SceneFileFault,
+        source: SceneFileError,
     },
     /// A file could not be read or written.
     #[error("{path}: {source}")]

@@ -39,6 +39,7 @@
 //! [`trace`] are the machine room, for those who bring their own executor or want to look inside.
 
 pub mod accel;
+mod atomic_file;
 pub mod compile;
 pub mod device;
 mod error;
@@ -49,16 +50,16 @@ pub mod math;
 pub mod query;
 pub mod render;
 pub mod trace;
-mod whole_file;
 
 pub use error::{Error, Result};
 /// The vectors, quaternions and matrices of this interface.
 pub use glam;
 pub use graph::{
-    AlphaMode, Billboard, Camera, Change, Changes, Core, CoreKey, CoreSource, Cursor, Delta, Descend, EditQueue,
-    EditSender, Filter, Geometry, GeometryKey, Hierarchy, Keep, Light, LightKind, Lod, LodMeasure, Material,
-    MaterialKey, NodeKey, NodePath, NodeState, Object, Pending, Placed, Quality, Recorder, Replay, Sampler, Scene,
-    SceneFileFault, SceneId, State, Structure, Switch, Texture, TextureKey, TextureRef, Transform, Visitor, Wrap,
+    AlphaMode, Billboard, BlasKind, Camera, Change, ChangeCursor, Changes, Core, CoreKey, CoreSource, Delta, Descend,
+    EditQueue, EditSender, FilterMode, Geometry, GeometryKey, Hierarchy, KeepTransform, Light, LightKind, Lod,
+    LodMetric, Material, MaterialKey, NodeKey, NodePath, NodeState, ObjectKey, ObjectState, PendingEdit, Quality,
+    Recorder, Replay, ResolvedEntry, Sampler, Scene, SceneFileError, SceneId, Switch, Texture, TextureKey, TextureRef,
+    Transform, Visitor, WrapMode,
 };
 pub use math::{Aabb, Bounds};
 pub use query::{Hit, Queries, Ray, Region};

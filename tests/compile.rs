@@ -14,9 +14,9 @@ use glam::{DVec3, Vec3};
 use proptest::prelude::*;
 use proptest::test_runner::TestRunner;
 use ropewalk::accel::{RebuildReason, TlasUpdate};
-use ropewalk::compile::{Compiler, ImageHeight, Observer};
+use ropewalk::compile::{Compiler, ViewHeight, Viewpoint};
 use ropewalk::device::Needs;
-use ropewalk::device::layout::{Hit, Ray};
+use ropewalk::device::layout::{HitRecord, RayRecord};
 use ropewalk::device::{DeviceArrays, DeviceBuffer};
 use ropewalk::trace::{Emulated, Tracer};
 use ropewalk::{Core, GeometryKey, Material, NodeKey, Scene, Transform};
@@ -37,8 +37,8 @@ proptest! {
             world.apply(edit);
             if i % every == 0 || i + 1 == edits.len() {
                 // Some levels of detail depend on how large things are in the image.
-                let height = ImageHeight::TimesDistance([0.1, 1.0, 10.0][i % 3]);
-                let observer = Observer { height, ..EYE.into() };
+                let height = ViewHeight::Perspective([0.1, 1.0, 10.0][i % 3]);
+                let observer = Viewpoint { height, ..EYE.into() };
                 let report = compiler.compile(&mut world.scene, observer).unwrap();
                 let mut fresh = Compiler::new();
                 let fresh_report = fresh.compile(&mut world.scene, observer).unwrap();
@@ -47,8 +47,8 @@ proptest! {
                 prop_assert_eq!(exact.difference(&Canonical::exactly(fresh.arrays())), None);
                 prop_assert_eq!(report.needs, fresh_report.needs);
                 prop_assert_eq!(report.instances, fresh_report.instances);
-                prop_assert_eq!(report.singular_instances, fresh_report.singular_instances);
-                prop_assert_eq!(report.scene_triangles, fresh_report.scene_triangles);
+                prop_assert_eq!(report.unhittable_instances, fresh_report.unhittable_instances);
+                prop_assert_eq!(report.instanced_triangles, fresh_report.instanced_triangles);
                 prop_assert_eq!((report.lights, report.blas_count), (fresh_report.lights, fresh_report.blas_count));
                 compared += 1;
             }
@@ -82,7 +82,10 @@ fn random_deformations_show_what_is_compiled_from_nothing() {
                 let mut fresh = Compiler::new();
                 let fresh_report = fresh.compile(&mut world.scene, EYE).unwrap();
                 prop_assert_eq!(Canonical::of(compiler.arrays()).difference(&Canonical::of(fresh.arrays())), None);
-                prop_assert_eq!((report.needs, report.triangles), (fresh_report.needs, fresh_report.triangles));
+                prop_assert_eq!(
+                    (report.needs, report.unique_triangles),
+                    (fresh_report.needs, fresh_report.unique_triangles)
+                );
                 let rays = rays_at(fresh.arrays());
                 let [ours, theirs] = [&mut compiler, &mut fresh].map(|c| hits_in(c.arrays_mut(), &rays));
                 prop_assert_eq!(ours.0, theirs.0);
@@ -91,7 +94,7 @@ fn random_deformations_show_what_is_compiled_from_nothing() {
                 hits.set(hits.get() + ours.1.iter().flatten().count());
                 refitted.set(refitted.get() + report.blas_refitted);
                 let builds = report.blas_builds;
-                let reasons = [builds.other_triangles, builds.decayed, builds.chosen];
+                let reasons = [builds.triangles_changed, builds.cost_grown, builds.structure_changed];
                 prop_assert_eq!(builds.new + reasons.iter().sum::<usize>(), report.blas_built);
                 built.set([0, 1, 2].map(|i| built.get()[i] + reasons[i]));
             }
@@ -140,31 +143,31 @@ impl Copies {
 }
 
 /// At points in the boxes of instances, from near and far.
-fn rays_at(arrays: &DeviceArrays) -> Vec<Ray> {
+fn rays_at(arrays: &DeviceArrays) -> Vec<RayRecord> {
     let mut state = 1u32;
     let mut random = || {
         state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
         (state >> 8) as f32 / (1 << 24) as f32
     };
-    let leaves = arrays.tlas_nodes.iter().filter(|node| node.primitives.count() > 0);
+    let leaves = arrays.tlas_nodes.iter().filter(|node| node.primitives.primitive_count() > 0);
     let boxes: Vec<_> = leaves.map(|leaf| (Vec3::from(leaf.min), Vec3::from(leaf.max))).collect();
     let mut ray = |i: usize| {
         let (min, max) = boxes[i % boxes.len()];
         let target = min + (max - min) * Vec3::new(random(), random(), random());
         let direction = Vec3::new(random(), random(), random()) - 0.5;
         let origin = target - direction * [1.0, 30.0][i % 2];
-        Ray { origin: origin.to_array(), t_min: 0.0, direction: direction.to_array(), t_max: f32::MAX }
+        RayRecord { origin: origin.to_array(), t_min: 0.0, direction: direction.to_array(), t_max: f32::MAX }
     };
     let count = if boxes.is_empty() { 0 } else { 50 };
     (0..count).map(&mut ray).collect()
 }
 
 /// How far each ray gets, and the node and the triangle that it hits.
-fn hits_in(arrays: &mut DeviceArrays, rays: &[Ray]) -> (Vec<u32>, Vec<Option<[u32; 2]>>) {
+fn hits_in(arrays: &mut DeviceArrays, rays: &[RayRecord]) -> (Vec<u32>, Vec<Option<[u32; 2]>>) {
     let mut tracer = Emulated::default();
     tracer.upload(arrays).unwrap();
     let hits = tracer.closest_hits(arrays, rays, u32::MAX).unwrap();
-    let told = |hit: &Hit| Some([arrays.instances.get(hit.instance as usize)?.node[0], hit.primitive]);
+    let told = |hit: &HitRecord| Some([arrays.instances.get(hit.instance as usize)?.node_key[0], hit.primitive]);
     (hits.iter().map(|hit| hit.t.to_bits()).collect(), hits.iter().map(told).collect())
 }
 
@@ -244,7 +247,7 @@ fn a_moved_node_patches_the_top_level_only() {
         .collect();
     let mut compiler = Compiler::new();
     let first = compiler.compile(&mut scene, EYE).unwrap();
-    assert_eq!((first.blas_built, first.instances, first.scene_triangles), (1, 1000, 4000));
+    assert_eq!((first.blas_built, first.instances, first.instanced_triangles), (1, 1000, 4000));
     dirty_bytes(&mut compiler);
 
     scene.set_local(nodes[500], Transform::from_translation(DVec3::new(1500.0, 1.0, 0.0))).unwrap();
@@ -300,7 +303,7 @@ fn a_singular_instance_is_left_out_and_reported() {
         scene.add(node, Core::Geometry { geometry, material }).unwrap();
     }
     let report = Compiler::new().compile(&mut scene, EYE).unwrap();
-    assert_eq!((report.instances, report.singular_instances), (1, 2));
+    assert_eq!((report.instances, report.unhittable_instances), (1, 2));
 }
 
 #[test]

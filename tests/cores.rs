@@ -3,10 +3,10 @@
 #![expect(clippy::unwrap_used, reason = "a panic in a test is a failure")]
 
 use glam::{DQuat, DVec3, Vec3};
-use ropewalk::compile::{Compiler, Observer};
+use ropewalk::compile::{Compiler, Viewpoint};
 use ropewalk::{
-    Billboard, Camera, Core, DeviceChoice, Error, Geometry, GeometryKey, Hierarchy, Keep, Light, Lod, Material,
-    MaterialKey, NodeKey, Renderer, RendererOptions, Scene, Switch, Transform, View,
+    Billboard, Camera, Core, DeviceChoice, Error, Geometry, GeometryKey, Hierarchy, KeepTransform, Light, Lod,
+    Material, MaterialKey, NodeKey, Renderer, RendererOptions, Scene, Switch, Transform, View,
 };
 
 const SIZE: u32 = 33;
@@ -71,7 +71,7 @@ fn a_switch_shows_what_it_chooses() {
     scene.edit_core(key, Core::Switch(Switch::One(1))).unwrap();
     scene.remove(children[0]).unwrap();
     assert_eq!(seen(&mut renderer, &mut scene, eye), Some(children[2]));
-    scene.reparent(children[1], scene.root(), Keep::Local).unwrap();
+    scene.reparent(children[1], scene.root(), KeepTransform::Local).unwrap();
     assert_eq!(seen(&mut renderer, &mut scene, eye), Some(children[1]), "nobody hides it any more");
     // A switch that becomes a group shows all.
     scene.remove(children[1]).unwrap();
@@ -181,7 +181,7 @@ fn nobody_instances_itself() {
     let is_cycle = |result: Result<(), Error>| assert!(matches!(result, Err(Error::Cycle { .. })), "{result:?}");
     is_cycle(scene.add(b, Core::Instance(a)).map(drop));
     is_cycle(scene.add(b, Core::Instance(scene.root())).map(drop));
-    is_cycle(scene.reparent(a, b, Keep::Local));
+    is_cycle(scene.reparent(a, b, KeepTransform::Local));
     is_cycle(scene.set_core(b, Core::Instance(a)));
     let key = scene.core_key(in_a).unwrap();
     is_cycle(scene.add(b, key).map(drop));
@@ -206,7 +206,7 @@ fn instances_that_multiply_are_refused_before_they_take_memory() {
     assert!(is_limit(scene.hierarchy().unwrap_err()));
     assert!(is_limit(scene.world_bounds(scene.root()).unwrap_err()));
     assert!(is_limit(Compiler::new().compile(&mut scene, DVec3::ZERO).unwrap_err()));
-    assert!(scene.world(groups[7]).is_ok(), "what needs no entries still answers");
+    assert!(scene.world_from_local(groups[7]).is_ok(), "what needs no entries still answers");
 
     for &group in &groups[10..] {
         scene.remove(group).unwrap();
@@ -226,7 +226,7 @@ fn instances_change_and_move_in_one_go() {
     scene.add(root, Core::Instance(inner)).unwrap();
     scene.hierarchy().unwrap();
     scene.set_core(inner, Core::Instance(other)).unwrap();
-    scene.reparent(inner, one, Keep::Local).unwrap();
+    scene.reparent(inner, one, KeepTransform::Local).unwrap();
     scene.hierarchy().unwrap();
     scene.validate().unwrap();
     let shown = scene.hierarchy().unwrap().entries(other).count();
@@ -291,7 +291,7 @@ fn levels_of_detail_suit_the_size_in_the_image() {
     let scale = scene.add(scene.root(), Transform::from_scale(DVec3::new(1.0, 2.0, 1.0))).unwrap();
     let node = scene.add(scale, Lod::by_projected_size(1.0, [0.5])).unwrap();
     squares(&mut scene, node, 2);
-    let instances = |scene: &mut Scene, observer: Observer| {
+    let instances = |scene: &mut Scene, observer: Viewpoint| {
         let mut compiler = Compiler::new();
         compiler.compile(scene, observer).unwrap();
         let hierarchy = scene.hierarchy().unwrap();
@@ -300,12 +300,12 @@ fn levels_of_detail_suit_the_size_in_the_image() {
     };
     let at = |distance: f64| {
         let camera = Camera::perspective(std::f32::consts::FRAC_PI_2);
-        View { camera, ..view_from(DVec3::Z * distance) }.observer()
+        View { camera, ..view_from(DVec3::Z * distance) }.viewpoint()
     };
     assert_eq!(instances(&mut scene, at(3.99)), Some(0));
     assert_eq!(instances(&mut scene, at(4.01)), Some(1));
     let orthographic =
-        |half| View { camera: Camera::orthographic(half, half), ..view_from(DVec3::Z * 100.0) }.observer();
+        |half| View { camera: Camera::orthographic(half, half), ..view_from(DVec3::Z * 100.0) }.viewpoint();
     assert_eq!(instances(&mut scene, orthographic(3.99)), Some(0));
     assert_eq!(instances(&mut scene, orthographic(4.01)), Some(1));
 }
@@ -315,11 +315,11 @@ fn billboards_face_each_camera() {
     let mut scene = Scene::new();
     let place = Transform::from_rotation(DQuat::from_rotation_x(0.7)).with_translation(DVec3::new(0.1, 0.2, 0.3));
     let place = scene.add(scene.root(), place).unwrap();
-    let board = scene.add(place, Billboard::Free).unwrap();
+    let board = scene.add(place, Billboard::Spherical).unwrap();
     // Below a billboard things move as they do elsewhere.
     let below = scene.add(board, at(0.0, 0.0, 0.0)).unwrap();
     squares(&mut scene, below, 1);
-    let center = scene.world(board).unwrap().translation;
+    let center = scene.world_from_local(board).unwrap().translation;
     let mut renderer = cpu();
     let eyes = [DVec3::new(4.0, 1.0, 3.0), DVec3::new(-3.0, 2.0, -4.0), DVec3::new(0.3, -5.0, 0.2)];
     for eye in eyes {
@@ -330,11 +330,11 @@ fn billboards_face_each_camera() {
         assert!(Vec3::from(normal).dot(to_eye) > 0.999_99, "{normal:?} does not look at {to_eye}");
     }
     // About an axis only.
-    scene.set_core(board, Billboard::Axis(DVec3::Y)).unwrap();
+    scene.set_core(board, Billboard::Cylindrical(DVec3::Y)).unwrap();
     scene.set_local(place, at(0.0, 0.0, 0.0)).unwrap();
     let image = renderer.render(&mut scene, &view_from(DVec3::new(3.0, 3.0, 0.0))).unwrap().image().unwrap();
     let normal = Vec3::from(image.aovs.unwrap().normal[(SIZE * SIZE / 2) as usize]);
     assert!(normal.abs_diff_eq(Vec3::X, 1e-5), "{normal}");
     // The graph itself has not changed.
-    assert_eq!(scene.world(below).unwrap().translation, DVec3::ZERO);
+    assert_eq!(scene.world_from_local(below).unwrap().translation, DVec3::ZERO);
 }

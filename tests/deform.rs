@@ -5,9 +5,11 @@
 use std::sync::Arc;
 
 use glam::{DVec3, Quat, Vec3};
-use ropewalk::accel::{Blas, BuildParams};
-use ropewalk::compile::{BlasBuilds, CompileReport, Compiler};
-use ropewalk::{Change, Changes, Core, Cursor, Delta, Error, Geometry, Material, Object, Quality, Scene, Structure};
+use ropewalk::accel::{Blas, BlasBuildParams};
+use ropewalk::compile::{BlasBuildReasons, CompileReport, Compiler};
+use ropewalk::{
+    BlasKind, Change, ChangeCursor, Changes, Core, Delta, Error, Geometry, Material, ObjectKey, Quality, Scene,
+};
 
 const CORNERS: [Vec3; 4] = [Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::ONE];
 
@@ -24,7 +26,7 @@ fn set_positions_keeps_the_triangles_and_can_be_undone() {
     let before = scene.geometry(key).unwrap().clone();
     let version = scene.geometry_version(key).unwrap();
     scene.enable_undo();
-    let mut cursor = Cursor::default();
+    let mut cursor = ChangeCursor::default();
     let _ = scene.changes_since(&mut cursor);
 
     scene.set_positions(key, CORNERS, None).unwrap();
@@ -35,7 +37,7 @@ fn set_positions_keeps_the_triangles_and_can_be_undone() {
     assert_eq!((after.positions[3], after.normals.as_deref()), (Vec3::splat(2.0), Some(&[Vec3::Z; 4][..])));
     assert!(scene.geometry_version(key).unwrap() > version);
     assert_eq!(scene.world_bounds(node).unwrap().max, DVec3::splat(2.0), "boxes above follow");
-    assert_eq!(scene.changes_since(&mut cursor), Changes::Since(vec![(Object::Geometry(key), Change::DATA)]));
+    assert_eq!(scene.changes_since(&mut cursor), Changes::Since(vec![(ObjectKey::Geometry(key), Change::DATA)]));
 
     scene.set_positions(key, CORNERS, None).unwrap();
     assert_eq!(scene.geometry(key).unwrap().normals, after.normals, "the normals stay");
@@ -73,29 +75,29 @@ fn bad_positions_are_refused() {
 #[test]
 fn the_choice_of_a_structure_travels() {
     let mut scene = Scene::new();
-    let key = scene.add_geometry(two_triangles().with_structure(Structure::KdTree)).unwrap();
-    let mut cursor = Cursor::default();
+    let key = scene.add_geometry(two_triangles().with_blas_kind(BlasKind::KdTree)).unwrap();
+    let mut cursor = ChangeCursor::default();
     let mut mirror = Scene::new();
     mirror.apply(&scene.delta_since(&mut cursor)).unwrap();
-    assert_eq!(mirror.geometry(key).unwrap().structure, Some(Structure::KdTree));
+    assert_eq!(mirror.geometry(key).unwrap().blas_kind, Some(BlasKind::KdTree));
 
     // A change of nothing else is one.
-    let best = Structure::Bvh(Quality::Best);
-    scene.set_geometry(key, scene.geometry(key).unwrap().clone().with_structure(best)).unwrap();
+    let best = BlasKind::Bvh(Quality::High);
+    scene.set_geometry(key, scene.geometry(key).unwrap().clone().with_blas_kind(best)).unwrap();
     mirror.apply(&scene.delta_since(&mut cursor)).unwrap();
-    assert_eq!(mirror.geometry(key).unwrap().structure, Some(best), "though all arrays are shared");
+    assert_eq!(mirror.geometry(key).unwrap().blas_kind, Some(best), "though all arrays are shared");
 
-    scene.set_geometry(key, scene.geometry(key).unwrap().clone().with_structure(None)).unwrap();
+    scene.set_geometry(key, scene.geometry(key).unwrap().clone().with_blas_kind(None)).unwrap();
     let delta = scene.delta_since(&mut cursor);
     let delta: Delta = serde_json::from_slice(&serde_json::to_vec(&delta).unwrap()).unwrap();
     mirror.apply(&delta).unwrap();
-    assert_eq!(mirror.geometry(key).unwrap().structure, None);
+    assert_eq!(mirror.geometry(key).unwrap().blas_kind, None);
 
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.ropewalk");
-    scene.set_geometry(key, two_triangles().with_structure(Structure::KdTree)).unwrap();
+    scene.set_geometry(key, two_triangles().with_blas_kind(BlasKind::KdTree)).unwrap();
     scene.save(&path).unwrap();
-    assert_eq!(Scene::load(&path).unwrap().geometry(key).unwrap().structure, Some(Structure::KdTree));
+    assert_eq!(Scene::load(&path).unwrap().geometry(key).unwrap().blas_kind, Some(BlasKind::KdTree));
 }
 
 /// A bumpy sphere of 2 * `rows` * 2 * `rows` triangles, of which none is without area.
@@ -134,14 +136,17 @@ impl Shown {
             scene.add(scene.root(), Core::Geometry { geometry, material }).unwrap();
         }
         let mut shown = Self { scene, compiler: Compiler::new(), keys };
-        assert_eq!(shown.compile().blas_builds, BlasBuilds { new: shown.keys.len(), ..BlasBuilds::default() });
+        assert_eq!(
+            shown.compile().blas_builds,
+            BlasBuildReasons { new: shown.keys.len(), ..BlasBuildReasons::default() }
+        );
         shown
     }
 
     fn compile(&mut self) -> CompileReport {
         let report = self.compiler.compile(&mut self.scene, DVec3::Z * 9.0).unwrap();
         let again = self.compiler.compile(&mut self.scene, DVec3::Z * 9.0).unwrap();
-        assert_eq!((again.blas_refitted, again.blas_built, again.blas_builds), (0, 0, BlasBuilds::default()));
+        assert_eq!((again.blas_refitted, again.blas_built, again.blas_builds), (0, 0, BlasBuildReasons::default()));
         report
     }
 
@@ -165,7 +170,7 @@ fn a_deformed_geometry_is_refitted_in_its_place() {
     let places = shown.compiler.arrays().instances.to_vec();
     let report = shown.twist(1, 0.2);
     assert_eq!((report.blas_refitted, report.blas_refitted_triangles), (1, 3600));
-    assert_eq!((report.blas_built, report.blas_freed, report.blas_builds), (0, 0, BlasBuilds::default()));
+    assert_eq!((report.blas_built, report.blas_freed, report.blas_builds), (0, 0, BlasBuildReasons::default()));
     let after = shown.compiler.arrays().instances.to_vec();
     for (old, new) in places.iter().zip(&after) {
         assert_eq!((old.first_node, old.first_triangle), (new.first_node, new.first_triangle));
@@ -206,20 +211,26 @@ fn each_reason_is_told() {
     for positions in [pinched, original.positions.to_vec()] {
         shown.scene.set_positions(key, positions, None).unwrap();
         let report = shown.compile();
-        assert_eq!((report.blas_refitted, report.blas_builds.other_triangles, report.blas_built), (0, 1, 1));
+        assert_eq!((report.blas_refitted, report.blas_builds.triangles_changed, report.blas_built), (0, 1, 1));
     }
     // Other triangles.
     shown.scene.set_geometry(key, sphere(21)).unwrap();
-    assert_eq!(shown.compile().blas_builds, BlasBuilds { other_triangles: 1, ..BlasBuilds::default() });
+    assert_eq!(shown.compile().blas_builds, BlasBuildReasons { triangles_changed: 1, ..BlasBuildReasons::default() });
     // Another structure, and one that is not refitted.
-    let best = sphere(21).with_structure(Structure::Bvh(Quality::Best));
+    let best = sphere(21).with_blas_kind(BlasKind::Bvh(Quality::High));
     shown.scene.set_geometry(key, best).unwrap();
-    assert_eq!(shown.compile().blas_builds, BlasBuilds { chosen: 1, ..BlasBuilds::default() });
-    assert_eq!(shown.twist(0, 0.1).blas_builds, BlasBuilds { chosen: 1, ..BlasBuilds::default() });
-    let automatic = shown.scene.geometry(key).unwrap().clone().with_structure(None);
+    assert_eq!(shown.compile().blas_builds, BlasBuildReasons { structure_changed: 1, ..BlasBuildReasons::default() });
+    assert_eq!(
+        shown.twist(0, 0.1).blas_builds,
+        BlasBuildReasons { structure_changed: 1, ..BlasBuildReasons::default() }
+    );
+    let automatic = shown.scene.geometry(key).unwrap().clone().with_blas_kind(None);
     shown.scene.set_geometry(key, automatic).unwrap();
     assert_eq!(shown.compile().blas_built, 0, "what is there will do");
-    assert_eq!(shown.twist(0, 0.1).blas_builds, BlasBuilds { chosen: 1, ..BlasBuilds::default() });
+    assert_eq!(
+        shown.twist(0, 0.1).blas_builds,
+        BlasBuildReasons { structure_changed: 1, ..BlasBuildReasons::default() }
+    );
     assert_eq!(shown.twist(0, 0.1).blas_refitted, 1);
 }
 
@@ -239,11 +250,11 @@ fn undo_refits_too() {
 #[test]
 fn what_twists_on_and_on_is_rebuilt_now_and_then() {
     let mut shown = Shown::new(vec![sphere(40)]);
-    let params = BuildParams::default();
+    let params = BlasBuildParams::default();
     let (mut decayed, mut refitted, mut worst) = (0, 0, 0.0f64);
     for _ in 0..60 {
         let report = shown.twist(0, 0.2);
-        assert_eq!(report.blas_built, report.blas_builds.decayed);
+        assert_eq!(report.blas_built, report.blas_builds.cost_grown);
         decayed += report.blas_built;
         refitted += report.blas_refitted;
         let geometry = shown.scene.geometry(shown.keys[0]).unwrap();
@@ -262,11 +273,11 @@ fn what_twists_on_and_on_is_rebuilt_now_and_then() {
 fn what_changes_frame_after_frame_is_built_fast() {
     let mut shown = Shown::new(vec![sphere(20)]);
     let nodes_of =
-        |rows: u32, quality| Blas::build(&sphere(rows), &BuildParams::new(Structure::Bvh(quality))).unwrap().nodes;
-    for (i, quality) in [Quality::Balanced, Quality::Balanced, Quality::Fast, Quality::Fast].into_iter().enumerate() {
+        |rows: u32, quality| Blas::build(&sphere(rows), &BlasBuildParams::new(BlasKind::Bvh(quality))).unwrap().nodes;
+    for (i, quality) in [Quality::Medium, Quality::Medium, Quality::Low, Quality::Low].into_iter().enumerate() {
         let rows = 21 + i as u32;
         shown.scene.set_geometry(shown.keys[0], sphere(rows)).unwrap();
-        assert_eq!(shown.compile().blas_builds.other_triangles, 1);
+        assert_eq!(shown.compile().blas_builds.triangles_changed, 1);
         assert_eq!(shown.compiler.arrays().blas_nodes.to_vec(), nodes_of(rows, quality), "change {i}");
     }
 }

@@ -5,14 +5,14 @@ use std::f32::consts::PI;
 
 use glam::{Affine2, DAffine3, DMat3, DQuat, DVec3, Vec2, Vec3, Vec4};
 use ropewalk::{
-    AlphaMode, Bounds, Camera, Changes, Core, Error, Geometry, Keep, Light, LightKind, Material, NodeKey, Scene,
-    Texture, TextureRef, Transform,
+    AlphaMode, Bounds, Camera, Changes, Core, Error, Geometry, KeepTransform, Light, LightKind, Material, NodeKey,
+    Scene, Texture, TextureRef, Transform,
 };
 
 const X: DVec3 = DVec3::X;
 
 fn place(scene: &Scene, node: NodeKey) -> DVec3 {
-    scene.world(node).unwrap().translation
+    scene.world_from_local(node).unwrap().translation
 }
 
 fn triangle(scene: &mut Scene) -> Core {
@@ -62,7 +62,7 @@ fn keeping_the_world_leaves_the_sharers_where_they_are() {
     let core = scene.core_key(one).unwrap();
     let other = scene.add(scene.root(), core).unwrap();
 
-    scene.reparent(one, parent, Keep::World).unwrap();
+    scene.reparent(one, parent, KeepTransform::World).unwrap();
     assert_eq!((place(&scene, one), place(&scene, other)), (X, X));
     assert_eq!((scene.core_key(other).unwrap(), scene.local(one).unwrap().to_affine().translation), (core, X * -4.0));
     assert_ne!(scene.core_key(one).unwrap(), core);
@@ -76,9 +76,9 @@ fn keeping_the_world_works_under_shear_and_reflection() {
     let parent = scene.add(scene.root(), Transform::Matrix(DAffine3 { matrix3: shear, translation: X * 1e7 })).unwrap();
     let turn = DQuat::from_axis_angle(DVec3::new(1.0, 2.0, 3.0).normalize(), 1.0);
     let node = scene.add(scene.root(), Transform::from_rotation(turn)).unwrap();
-    let world = scene.world(node).unwrap();
-    scene.reparent(node, parent, Keep::World).unwrap();
-    let found = scene.world(node).unwrap();
+    let world = scene.world_from_local(node).unwrap();
+    scene.reparent(node, parent, KeepTransform::World).unwrap();
+    let found = scene.world_from_local(node).unwrap();
     assert!(found.matrix3.abs_diff_eq(world.matrix3, 1e-10), "{found} is not {world}");
     assert!(found.translation.abs_diff_eq(world.translation, 1e-7), "{found} is not {world}");
 }
@@ -89,7 +89,7 @@ fn keeping_the_world_below_equal_worlds_changes_no_transform() {
     let group = scene.add(scene.root(), Core::Group).unwrap();
     let node = scene.add(scene.root(), Transform::from_scale(DVec3::new(0.1, 0.2, 0.3))).unwrap();
     let local = scene.local(node).unwrap();
-    scene.reparent(node, group, Keep::World).unwrap();
+    scene.reparent(node, group, KeepTransform::World).unwrap();
     assert_eq!((scene.local(node).unwrap(), scene.parent(node).unwrap()), (local, Some(group)));
 }
 
@@ -105,15 +105,15 @@ fn no_world_can_be_kept_below_a_singular_one() {
     for angle in 1..20 {
         parents.push(scene.add(flat, Transform::from_rotation(turn(f64::from(angle)))).unwrap());
     }
-    assert!(parents.iter().any(|&parent| scene.world(parent).unwrap().matrix3.determinant() != 0.0));
+    assert!(parents.iter().any(|&parent| scene.world_from_local(parent).unwrap().matrix3.determinant() != 0.0));
     let vast = scene.add(scene.root(), Transform::from_scale(DVec3::splat(1e200))).unwrap();
     let infinite = scene.add(vast, Transform::from_scale(DVec3::splat(1e200))).unwrap();
     parents.push(infinite);
     for parent in parents {
         let is_singular = |error: &Error| matches!(error, Error::Singular { node } if *node == parent.into());
-        assert_fails(&mut scene, |scene| scene.reparent(node, parent, Keep::World), is_singular);
+        assert_fails(&mut scene, |scene| scene.reparent(node, parent, KeepTransform::World), is_singular);
     }
-    scene.reparent(node, flat, Keep::Local).unwrap();
+    scene.reparent(node, flat, KeepTransform::Local).unwrap();
 }
 
 #[test]
@@ -123,11 +123,11 @@ fn transforms_that_overflow_are_defined() {
     let vaster = scene.add(vast, Transform::from_scale(DVec3::splat(1e200))).unwrap();
     let core = triangle(&mut scene);
     let node = scene.add(vaster, core).unwrap();
-    let walked = scene.world(node).unwrap();
+    let walked = scene.world_from_local(node).unwrap();
     assert!(!walked.is_finite());
     let index = scene.hierarchy().unwrap().entry(node).unwrap();
     let bits = |world: DAffine3| world.to_cols_array().map(f64::to_bits);
-    assert_eq!(bits(scene.hierarchy().unwrap().placed()[index].world), bits(walked));
+    assert_eq!(bits(scene.hierarchy().unwrap().resolved()[index].world_from_local), bits(walked));
     let _ = scene.world_bounds(scene.root()).unwrap();
     scene.validate().unwrap();
 }
@@ -188,7 +188,7 @@ fn the_root_stays_what_it_is() {
     let (group_core, transform_core) = (scene.core_key(group).unwrap(), scene.core_key(transform).unwrap());
     let is_root = |error: &Error| matches!(error, Error::Root { .. });
     assert_fails(&mut scene, |scene| scene.remove(root), is_root);
-    assert_fails(&mut scene, |scene| scene.reparent(root, group, Keep::Local), is_root);
+    assert_fails(&mut scene, |scene| scene.reparent(root, group, KeepTransform::Local), is_root);
     assert_fails(&mut scene, |scene| scene.set_core(root, Transform::IDENTITY), is_root);
     assert_fails(&mut scene, |scene| scene.set_core(root, transform_core), is_root);
     assert_fails(&mut scene, |scene| scene.edit_core(group_core, Core::Camera(Camera::default())), is_root);
@@ -257,7 +257,7 @@ fn bad_lights_cameras_transforms_and_textures_are_refused() {
         perspective(1.0, Some(f32::NAN)),
         orthographic(0.0, 1.0),
         orthographic(1.0, f32::INFINITY),
-        Core::Camera(Camera::default().shifted(Vec2::new(0.0, f32::NAN))),
+        Core::Camera(Camera::default().with_lens_shift(Vec2::new(0.0, f32::NAN))),
         Core::Transform(Transform::from_scale(DVec3::new(1.0, f64::NAN, 1.0))),
         // Each number is finite, their product is not.
         Core::Transform(Transform::Trs { translation: X, rotation: DQuat::from_xyzw(1e200, 0.0, 0.0, 0.0), scale: X }),

@@ -28,7 +28,7 @@ impl Visitor for &mut Recorder<'_> {
 
     fn enter(&mut self, node: NodeKey) -> ControlFlow<usize, Descend> {
         self.record(true, node)?;
-        Continue(if self.scene.name(node).unwrap() == "a" { Descend::Past } else { Descend::Into })
+        Continue(if self.scene.name(node).unwrap() == "a" { Descend::Skip } else { Descend::Into })
     }
 
     fn leave(&mut self, node: NodeKey) -> ControlFlow<usize> {
@@ -105,7 +105,7 @@ proptest! {
             prop_assert_eq!(scene.find_path(top, &names).unwrap().is_some(), known.contains(&names));
         }
         prop_assert_eq!(scene.find_path(top, [""; 0]).unwrap(), Some(top));
-        let named: Vec<_> = scene.descendants(scene.root()).unwrap().filter(|&n| scene.name(n).unwrap() == "b").collect();
+        let named: Vec<_> = scene.subtree(scene.root()).unwrap().filter(|&n| scene.name(n).unwrap() == "b").collect();
         prop_assert_eq!(scene.find("b"), named.first().copied());
         prop_assert_eq!(scene.find_all("b").collect::<Vec<_>>(), named);
     }

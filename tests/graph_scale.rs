@@ -1,7 +1,7 @@
 //! Scenes that are very deep, very wide or very large: nothing overflows the stack, and edits cost what they change.
 
 use glam::DVec3;
-use ropewalk::{Error, Keep, NodeKey, Scene, Transform};
+use ropewalk::{Error, KeepTransform, NodeKey, Scene, Transform};
 
 const STEP: DVec3 = DVec3::new(1.0, 0.0, 0.0);
 
@@ -14,20 +14,20 @@ fn a_chain_of_100_000_transforms() {
         chain.push(scene.add(chain[depth], Transform::from_translation(STEP)).unwrap());
     }
     let (top, middle, leaf) = (chain[1], chain[DEPTH / 2], chain[DEPTH]);
-    assert_eq!(scene.world(leaf).unwrap().translation, STEP * DEPTH as f64);
-    assert_eq!(scene.descendants(scene.root()).unwrap().last(), Some(leaf));
+    assert_eq!(scene.world_from_local(leaf).unwrap().translation, STEP * DEPTH as f64);
+    assert_eq!(scene.subtree(scene.root()).unwrap().last(), Some(leaf));
     assert_eq!(scene.ancestors(leaf).unwrap().count(), DEPTH);
     assert!(scene.world_bounds(top).unwrap().is_empty());
-    assert_eq!(scene.hierarchy().unwrap().placed()[DEPTH].world.translation, STEP * DEPTH as f64);
+    assert_eq!(scene.hierarchy().unwrap().resolved()[DEPTH].world_from_local.translation, STEP * DEPTH as f64);
     scene.validate().unwrap();
 
     scene.set_local(top, Transform::from_translation(STEP * 2.0)).unwrap();
-    assert_eq!(scene.hierarchy().unwrap().placed()[DEPTH].world.translation, STEP * (DEPTH + 1) as f64);
-    assert!(matches!(scene.reparent(top, leaf, Keep::Local), Err(Error::Cycle { .. })));
+    assert_eq!(scene.hierarchy().unwrap().resolved()[DEPTH].world_from_local.translation, STEP * (DEPTH + 1) as f64);
+    assert!(matches!(scene.reparent(top, leaf, KeepTransform::Local), Err(Error::Cycle { .. })));
 
     // The lower half moves up, then the upper half goes.
-    scene.reparent(middle, scene.root(), Keep::World).unwrap();
-    assert_eq!(scene.world(leaf).unwrap().translation, STEP * (DEPTH + 1) as f64);
+    scene.reparent(middle, scene.root(), KeepTransform::World).unwrap();
+    assert_eq!(scene.world_from_local(leaf).unwrap().translation, STEP * (DEPTH + 1) as f64);
     scene.remove(top).unwrap();
     assert_eq!(scene.node_count(), 1 + DEPTH - DEPTH / 2 + 1);
     scene.validate().unwrap();
@@ -44,11 +44,15 @@ fn a_parent_of_1_000_000_children() {
     let children: Vec<NodeKey> =
         std::iter::once(first).chain((1..WIDTH).map(|_| scene.add(scene.root(), core).unwrap())).collect();
     assert!(scene.children(scene.root()).unwrap().eq(children.iter().copied()));
-    assert_eq!(scene.hierarchy().unwrap().placed().len(), WIDTH + 1);
+    assert_eq!(scene.hierarchy().unwrap().resolved().len(), WIDTH + 1);
 
     // They share one core: all move.
     scene.set_local(children[WIDTH / 2], Transform::from_translation(STEP * 3.0)).unwrap();
-    assert!(scene.hierarchy().unwrap().placed()[1..].iter().all(|placed| placed.world.translation == STEP * 3.0));
+    assert!(
+        scene.hierarchy().unwrap().resolved()[1..]
+            .iter()
+            .all(|placed| placed.world_from_local.translation == STEP * 3.0)
+    );
     scene.validate().unwrap();
 
     // In the middle of both lists: of siblings, and of users of the core.
@@ -56,7 +60,7 @@ fn a_parent_of_1_000_000_children() {
         scene.remove(child).unwrap();
     }
     for &child in children.iter().step_by(4) {
-        scene.reparent(child, children[2], Keep::Local).unwrap();
+        scene.reparent(child, children[2], KeepTransform::Local).unwrap();
     }
     scene.validate().unwrap();
     assert_eq!(scene.users(core).unwrap().count(), WIDTH / 2);

@@ -9,7 +9,7 @@ use glam::DAffine3;
 use kernel_support::{Mesh, Placed, arrays};
 use ropewalk::Error;
 use ropewalk::device::Needs;
-use ropewalk::device::layout::{FrameParams, LIGHT_DIRECTIONAL, Light, Material};
+use ropewalk::device::layout::{FrameParams, LIGHT_DIRECTIONAL, LightRecord, MaterialRecord};
 use ropewalk::image::Image;
 use ropewalk::trace::{Cpu, Emulated, FrameRequest, Recursive, Tracer};
 
@@ -33,14 +33,14 @@ fn request(width: u32, height: u32, aovs: bool) -> FrameRequest {
     FrameRequest { params, needs: Needs::empty(), aovs }
 }
 
-fn sun(direction: [f32; 3]) -> Light {
-    Light { kind: LIGHT_DIRECTIONAL, direction, color: [1.0; 3], ..Light::zeroed() }
+fn sun(direction: [f32; 3]) -> LightRecord {
+    LightRecord { kind: LIGHT_DIRECTIONAL, direction, color: [1.0; 3], ..LightRecord::zeroed() }
 }
 
 /// Of a bumpy ball, half glass, under a light from above.
 fn images(request: &FrameRequest) -> [Image; 3] {
     let mut arrays = arrays(&[Mesh::displaced_icosphere(3)], &[Placed::new(0, DAffine3::IDENTITY)]);
-    let glass = Material { transmission: 0.5, roughness: 0.0, ..arrays.materials[0] };
+    let glass = MaterialRecord { transmission: 0.5, roughness: 0.0, ..arrays.materials[0] };
     arrays.materials.replace(&[glass]);
     arrays.lights.replace(&[sun([0.0, -1.0, 0.0])]);
     let mut tracers: [Box<dyn Tracer>; 3] =
@@ -48,7 +48,7 @@ fn images(request: &FrameRequest) -> [Image; 3] {
     tracers.each_mut().map(|tracer| {
         tracer.upload(&mut arrays).unwrap();
         tracer.render(&arrays, request).unwrap();
-        tracer.read().unwrap()
+        tracer.read_image().unwrap()
     })
 }
 
@@ -84,17 +84,17 @@ fn the_rays_of_a_frame_are_counted() {
     let mut frame = request(32, 32, true);
     let mut emulated = Emulated::default();
     emulated.render(&arrays, &frame).unwrap();
-    let depth = emulated.read().unwrap().aovs.unwrap().depth;
+    let depth = emulated.read_image().unwrap().aovs.unwrap().depth;
     let first_hits = depth.iter().filter(|depth| depth.is_finite()).count() as u64;
 
     let unlit = emulated.count_frame(&arrays, &frame);
-    assert_eq!((unlit.rays, unlit.first_hits, unlit.shadow_rays), (1024, first_hits, 0));
+    assert_eq!((unlit.radiance_rays, unlit.primary_hits, unlit.shadow_rays), (1024, first_hits, 0));
     frame.params.light_count = 1;
     let lit = emulated.count_frame(&arrays, &frame);
-    assert_eq!((lit.rays, lit.first_hits), (1024, first_hits));
+    assert_eq!((lit.radiance_rays, lit.primary_hits), (1024, first_hits));
     // Facets that the light grazes ask for nothing.
     assert!((first_hits * 9 / 10..=first_hits).contains(&lit.shadow_rays), "{lit:?}");
-    assert!(unlit.work.nodes > 1024 && lit.work.nodes > unlit.work.nodes && lit.work.triangles > unlit.work.triangles);
+    assert!(unlit.cost.nodes > 1024 && lit.cost.nodes > unlit.cost.nodes && lit.cost.triangles > unlit.cost.triangles);
 }
 
 #[test]

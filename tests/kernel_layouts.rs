@@ -8,11 +8,11 @@ use glam::{DAffine3, DQuat, DVec3, Vec3};
 use kernel_support::{Builder, Mesh, Placed, Random, arrays_by, tracers};
 use ropewalk::accel::Tlas;
 use ropewalk::device::DeviceArrays;
-use ropewalk::device::layout::{InstanceFlags, NONE, Node, PrimitiveRange, Ray};
-use ropewalk::trace::{Counts, Emulated, Layout, Recursive, Tracer as _};
+use ropewalk::device::layout::{InstanceFlags, NONE, Node, PrimitiveRange, RayRecord};
+use ropewalk::trace::{Emulated, Recursive, Tracer as _, Traversal, TraversalCounts};
 
 /// All executors and layouts agree on these rays.
-fn agree(arrays: &mut DeviceArrays, rays: &[Ray], ray_mask: u32) {
+fn agree(arrays: &mut DeviceArrays, rays: &[RayRecord], ray_mask: u32) {
     let mut tracers = tracers();
     let mut answers = tracers.iter_mut().map(|tracer| {
         tracer.upload(arrays).unwrap();
@@ -35,13 +35,13 @@ fn agree(arrays: &mut DeviceArrays, rays: &[Ray], ray_mask: u32) {
 }
 
 /// Between points in a cube of that half side, of all lengths.
-fn rays(random: &mut Random, size: f32, count: usize) -> Vec<Ray> {
+fn rays(random: &mut Random, size: f32, count: usize) -> Vec<RayRecord> {
     let mut ray = || {
         let (from, to) = (random.in_cube() * size, random.in_cube() * size);
         let direction = (to - from) * [1.0, 1e-3, 1e6][random.index(3)];
         let direction = if random.index(8) == 0 { direction * Vec3::new(1.0, 0.0, 0.0) } else { direction };
         let t_max = if random.index(4) == 0 { random.unsigned() } else { f32::MAX };
-        Ray { origin: from.to_array(), t_min: 0.0, direction: direction.to_array(), t_max }
+        RayRecord { origin: from.to_array(), t_min: 0.0, direction: direction.to_array(), t_max }
     };
     (0..count).map(|_| ray()).collect()
 }
@@ -76,11 +76,11 @@ fn fields_of_instances() {
 }
 
 /// The same rays, turned at the instances.
-fn aimed(random: &mut Random, placed: &[Placed], rays: Vec<Ray>) -> Vec<Ray> {
-    let aim = |ray: Ray| {
+fn aimed(random: &mut Random, placed: &[Placed], rays: Vec<RayRecord>) -> Vec<RayRecord> {
+    let aim = |ray: RayRecord| {
         let at = placed[random.index(placed.len())].world_from_local.translation.as_vec3() + random.in_cube() * 0.5;
         let length = Vec3::from_array(ray.direction).length();
-        Ray { direction: ((at - Vec3::from_array(ray.origin)).normalize() * length).to_array(), ..ray }
+        RayRecord { direction: ((at - Vec3::from_array(ray.origin)).normalize() * length).to_array(), ..ray }
     };
     rays.into_iter().map(aim).collect()
 }
@@ -148,12 +148,12 @@ fn wide_nodes_cost_fewer_fetches() {
     let mesh = Mesh::displaced_icosphere(6);
     let arrays = arrays_by(Builder::Product, &[mesh], &[Placed::new(0, DAffine3::IDENTITY)]);
     let rays = rays(&mut random, 2.0, 20_000);
-    let [rope, wide] = [Layout::Rope, Layout::Wide]
-        .map(|layout| Emulated::default().with_layout(layout).count_closest_hits(&arrays, &rays, 1));
+    let [rope, wide] = [Traversal::Rope, Traversal::Wide]
+        .map(|layout| Emulated::default().with_traversal(layout).count_closest_hits(&arrays, &rays, 1));
     println!("{rope:?}\n{wide:?}");
     assert!(wide.nodes * 3 < rope.nodes && wide.bytes < rope.bytes, "{rope:?} {wide:?}");
     assert!(rope.boxes == rope.nodes && wide.boxes < 8 * wide.nodes);
-    assert_eq!(Emulated::default().count_any_hits(&arrays, &[], 1), Counts::default());
+    assert_eq!(Emulated::default().count_any_hits(&arrays, &[], 1), TraversalCounts::default());
 }
 
 #[test]
@@ -162,7 +162,7 @@ fn recursion_visits_what_ropes_do() {
     let meshes = [Mesh::displaced_icosphere(4), Mesh::displaced_icosphere(2)];
     let mut arrays = arrays_by(Builder::Product, &meshes, &placed(&mut random, 2, 40));
     let rays = rays(&mut random, 4.0, 5000);
-    let ropes = Emulated::default().with_layout(Layout::Rope);
+    let ropes = Emulated::default().with_traversal(Traversal::Rope);
     let mut recursive = Recursive::default();
     recursive.upload(&mut arrays).unwrap();
     let closest = ropes.count_closest_hits(&arrays, &rays, 1);

@@ -9,7 +9,7 @@ use kernel_support::oracle::{Candidate, Fault, Verdict, candidates, fault, is_su
 use kernel_support::{Mesh, Placed, Random, arrays, tracers};
 use rayon::prelude::*;
 use ropewalk::device::DeviceArrays;
-use ropewalk::device::layout::{InstanceFlags, NONE, Ray};
+use ropewalk::device::layout::{InstanceFlags, NONE, RayRecord};
 use ropewalk::trace::Tracer;
 
 /// What a comparison found.
@@ -19,12 +19,12 @@ struct Tally {
     hits: usize,
     /// Rays for which rounding decides whether some triangle is met.
     ties: usize,
-    faults: Vec<(Fault, Ray)>,
+    faults: Vec<(Fault, RayRecord)>,
     /// |t - exact t| in units of the last place of t, of each hit.
     t_errors: Vec<f64>,
 }
 
-fn compare(tracer: &mut dyn Tracer, arrays: &DeviceArrays, rays: &[Ray], ray_mask: u32, truth: &Truth) -> Tally {
+fn compare(tracer: &mut dyn Tracer, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32, truth: &Truth) -> Tally {
     let hits = tracer.closest_hits(arrays, rays, ray_mask).unwrap();
     assert_eq!(hits.len(), rays.len());
     let mut tally = Tally::default();
@@ -49,7 +49,7 @@ fn compare(tracer: &mut dyn Tracer, arrays: &DeviceArrays, rays: &[Ray], ray_mas
 type Truth = Vec<Vec<Candidate>>;
 
 /// Compares every executor with f64, and prints how they did.
-fn check(what: &str, arrays: &mut DeviceArrays, rays: &[Ray], ray_mask: u32) {
+fn check(what: &str, arrays: &mut DeviceArrays, rays: &[RayRecord], ray_mask: u32) {
     let truth: Truth = rays.par_iter().map(|ray| candidates(arrays, ray, ray_mask)).collect();
     for tracer in &mut tracers() {
         tracer.upload(arrays).unwrap();
@@ -72,12 +72,12 @@ fn check(what: &str, arrays: &mut DeviceArrays, rays: &[Ray], ray_mask: u32) {
 }
 
 /// From around a ball about `center` through it, some from inside; directions of all lengths.
-fn rays(random: &mut Random, center: DVec3, radius: f64, count: usize) -> Vec<Ray> {
+fn rays(random: &mut Random, center: DVec3, radius: f64, count: usize) -> Vec<RayRecord> {
     let mut ray = || {
         let (from, to) = (random.direction().as_dvec3(), random.in_cube().as_dvec3());
         let distance = [0.5, 1.5, 10.0][random.index(3)];
         let direction = (to - from * distance) * radius * 10f64.powi(random.index(7) as i32 - 3);
-        Ray {
+        RayRecord {
             origin: (center + from * distance * radius).as_vec3().to_array(),
             t_min: 0.0,
             direction: direction.as_vec3().to_array(),

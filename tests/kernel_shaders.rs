@@ -9,14 +9,15 @@ use naga::proc::Layouter;
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 use ropewalk::device::Needs;
 use ropewalk::device::layout::{
-    FrameParams, Hit, Instance, Light, Material, Node, Ray, RayBatch, Streams, TextureInfo, Triangle, WideNode,
+    FrameParams, GeometryRecord, HitRecord, InstanceRecord, LightRecord, MaterialRecord, Node, RayBatch, RayRecord,
+    TextureInfo, Triangle, WideNode,
 };
-use ropewalk::trace::Layout as Walked;
-use ropewalk::trace::shader::{EntryPoint, Include, Split, Splits, Variant};
+use ropewalk::trace::Traversal as Walked;
+use ropewalk::trace::shader::{ArraySplit, ArraySplits, EntryPoint, Include, KernelVariant};
 
 const TYPES: &str = include_str!("../shaders/shared/types.wgsl");
 
-fn parse(entry: EntryPoint, needs: impl Into<Variant>) -> naga::Module {
+fn parse(entry: EntryPoint, needs: impl Into<KernelVariant>) -> naga::Module {
     let needs = needs.into();
     let source = entry.source(needs);
     let module = naga::front::wgsl::parse_str(&source)
@@ -33,9 +34,9 @@ fn every_kernel_is_valid_whatever_is_needed() {
     let one_more_or_less = all.iter().flat_map(|flag| [flag, all - flag]);
     for needs in [Needs::empty(), all].into_iter().chain(one_more_or_less) {
         for entry in EntryPoint::ALL {
-            let splits = Splits { nodes: Split::new(20, 10), triangles: Split::new(40, 10) };
-            parse(entry, Variant { needs, layout: Walked::Rope, splits });
-            parse(entry, Variant { needs, layout: Walked::Rope, ..Variant::default() });
+            let splits = ArraySplits { nodes: ArraySplit::new(20, 10), triangles: ArraySplit::new(40, 10) };
+            parse(entry, KernelVariant { needs, traversal: Walked::Rope, splits });
+            parse(entry, KernelVariant { needs, traversal: Walked::Rope, ..KernelVariant::default() });
             let module = parse(entry, needs);
             assert!(module.entry_points.iter().any(|e| e.name == entry.name()), "{entry:?} is in its module");
         }
@@ -46,14 +47,15 @@ fn every_kernel_is_valid_whatever_is_needed() {
 fn includes() -> impl Iterator<Item = Include> {
     let all = Needs::all();
     let needs = [Needs::empty(), all].into_iter().chain(all.iter().flat_map(move |flag| [flag, all - flag]));
-    let split = Splits { nodes: Split::new(20, 10), triangles: Split::new(40, 10) };
+    let split = ArraySplits { nodes: ArraySplit::new(20, 10), triangles: ArraySplit::new(40, 10) };
     let bound = [
         (Walked::Rope, split),
-        (Walked::Rope, Splits::default()),
+        (Walked::Rope, ArraySplits::default()),
         (Walked::Wide, split),
-        (Walked::Wide, Splits::default()),
+        (Walked::Wide, ArraySplits::default()),
     ];
-    let variants = needs.flat_map(move |needs| bound.map(|(layout, splits)| Variant { needs, layout, splits }));
+    let variants =
+        needs.flat_map(move |needs| bound.map(|(layout, splits)| KernelVariant { needs, traversal: layout, splits }));
     variants.flat_map(|variant| [false, true].map(|surfaces| Include { group: 3, surfaces, variant }))
 }
 
@@ -63,10 +65,12 @@ fn includes_are_valid_and_bind_what_they_use() {
     for include in includes() {
         let mut source = include.source();
         source.push_str("@group(0) @binding(0) var<storage, read_write> own: vec4<f32>;\n@compute @workgroup_size(1) fn own_kernel() {\n");
-        source.push_str("let ray = Ray(vec3<f32>(own.x), 0.0, vec3<f32>(1.0), 1.0); let hit = closest_hit(ray, 1u);\n");
+        source.push_str(
+            "let ray = RayRecord(vec3<f32>(own.x), 0.0, vec3<f32>(1.0), 1.0); let hit = closest_hit(ray, 1u);\n",
+        );
         source.push_str("own.x = hit.t; own.y = f32(any_hit(ray, 1u)); own.z = transmittance(ray, 1u).x;\n");
         if include.surfaces {
-            source.push_str("let surface = surface_at(hit, ray.direction); own.w = surface.normal.x + leave(surface, ray.direction).x;\n");
+            source.push_str("let surface = surface_at(hit, ray.direction); own.w = surface.normal.x + offset_ray_origin(surface, ray.direction).x;\n");
         }
         source.push('}');
         let module = naga::front::wgsl::parse_str(&source).unwrap_or_else(|e| panic!("{}", e.emit_to_string(&source)));
@@ -111,7 +115,7 @@ fn rust_layouts() -> BTreeMap<String, Layout> {
     BTreeMap::from([
         layout_of!(Node { min, escape_index, max, primitives }),
         layout_of!(Triangle { v0, primitive, v1, _pad0, v2, _pad1 }),
-        layout_of!(Instance {
+        layout_of!(InstanceRecord {
             local_from_world,
             world_from_local,
             first_node,
@@ -120,9 +124,9 @@ fn rust_layouts() -> BTreeMap<String, Layout> {
             material,
             mask,
             flags,
-            node
+            node_key
         }),
-        layout_of!(Streams {
+        layout_of!(GeometryRecord {
             first_index,
             first_normal,
             first_tex_coord_0,
@@ -132,7 +136,7 @@ fn rust_layouts() -> BTreeMap<String, Layout> {
             _pad
         }),
         layout_of!(WideNode { origin, exponents, planes, children }),
-        layout_of!(Material {
+        layout_of!(MaterialRecord {
             base_color,
             emissive,
             metallic,
@@ -150,7 +154,18 @@ fn rust_layouts() -> BTreeMap<String, Layout> {
             _pad
         }),
         layout_of!(TextureInfo { row_u, row_v, first_texel, width, height, flags }),
-        layout_of!(Light { position, kind, direction, range, color, cone_scale, cone_offset, _pad0, _pad1, _pad2 }),
+        layout_of!(LightRecord {
+            position,
+            kind,
+            direction,
+            range,
+            color,
+            cone_scale,
+            cone_offset,
+            _pad0,
+            _pad1,
+            _pad2
+        }),
         layout_of!(FrameParams {
             eye,
             width,
@@ -169,9 +184,9 @@ fn rust_layouts() -> BTreeMap<String, Layout> {
             sky_up,
             _pad
         }),
-        layout_of!(Ray { origin, t_min, direction, t_max }),
+        layout_of!(RayRecord { origin, t_min, direction, t_max }),
         layout_of!(RayBatch { count, ray_mask, first, _pad }),
-        layout_of!(Hit { t, u, v, instance, primitive, triangle, back, _pad }),
+        layout_of!(HitRecord { t, u, v, instance, primitive, triangle, back_face, _pad }),
     ])
 }
 
@@ -201,6 +216,6 @@ fn swapped_members_are_noticed() {
     let swapped = TYPES.replace("mask: u32,\n    flags: u32,", "flags: u32,\n    mask: u32,");
     assert_ne!(swapped, TYPES);
     let (rust, wgsl) = (rust_layouts(), wgsl_layouts(&swapped));
-    assert_ne!(rust["Instance"], wgsl["Instance"]);
-    assert_eq!(rust["Instance"].1, wgsl["Instance"].1);
+    assert_ne!(rust["InstanceRecord"], wgsl["InstanceRecord"]);
+    assert_eq!(rust["InstanceRecord"].1, wgsl["InstanceRecord"].1);
 }

@@ -6,16 +6,16 @@ mod kernel_support;
 
 use glam::{DAffine3, DQuat, DVec3, Vec3};
 use kernel_support::{Builder, Mesh, Placed, Random, arrays_by, tracers};
-use ropewalk::device::layout::{NONE, Ray};
-use ropewalk::trace::{Cpu, Emulated, Layout, Tracer};
+use ropewalk::device::layout::{NONE, RayRecord};
+use ropewalk::trace::{Cpu, Emulated, Tracer, Traversal};
 
 /// Rays into each mesh at each scale: half of them with scaled geometry, half with a scaled instance of it.
 const RAYS: usize = 500_000;
 /// Rays traced at once.
 const BATCH: usize = 1 << 16;
 
-fn ray(origin: Vec3, direction: Vec3) -> Ray {
-    Ray { origin: origin.to_array(), t_min: 0.0, direction: direction.to_array(), t_max: f32::MAX }
+fn ray(origin: Vec3, direction: Vec3) -> RayRecord {
+    RayRecord { origin: origin.to_array(), t_min: 0.0, direction: direction.to_array(), t_max: f32::MAX }
 }
 
 /// From near the middle of a mesh at a vertex, at a point of an edge, or at a point within a triangle.
@@ -40,13 +40,14 @@ fn none_escapes(tracer: &mut dyn Tracer, builder: Builder, mesh: &Mesh, radius: 
     let world = world_from_local.as_affine3a();
     let mut traced = 0;
     while traced < RAYS / 2 {
-        let rays: Vec<Ray> = (0..BATCH)
+        let rays: Vec<RayRecord> = (0..BATCH)
             .map(|_| ray_from_inside(&mut random, mesh, radius))
             .map(|(origin, direction)| ray(world.transform_point3(origin), world.transform_vector3(direction)))
             .collect();
         let hits = tracer.closest_hits(&arrays, &rays, 1).unwrap();
         assert_eq!(hits.len(), rays.len());
-        let escaped: Vec<&Ray> = rays.iter().zip(&hits).filter(|(_, h)| h.instance == NONE).map(|(r, _)| r).collect();
+        let escaped: Vec<&RayRecord> =
+            rays.iter().zip(&hits).filter(|(_, h)| h.instance == NONE).map(|(r, _)| r).collect();
         let device = tracer.device().executor;
         assert!(escaped.is_empty(), "{device}: {} of {BATCH} rays escape, as {:?}", escaped.len(), escaped[0]);
         traced += rays.len();
@@ -69,12 +70,12 @@ fn no_ray_escapes_closed_meshes(tracer: &mut dyn Tracer) {
 
 #[test]
 fn no_ray_escapes_closed_meshes_emulated() {
-    no_ray_escapes_closed_meshes(&mut Emulated::default().with_layout(Layout::Rope));
+    no_ray_escapes_closed_meshes(&mut Emulated::default().with_traversal(Traversal::Rope));
 }
 
 #[test]
 fn no_ray_escapes_closed_meshes_emulated_wide() {
-    no_ray_escapes_closed_meshes(&mut Emulated::default().with_layout(Layout::Wide));
+    no_ray_escapes_closed_meshes(&mut Emulated::default().with_traversal(Traversal::Wide));
 }
 
 #[test]
@@ -86,7 +87,7 @@ fn no_ray_escapes_closed_meshes_cpu() {
 #[test]
 fn no_ray_escapes_closed_meshes_gpu() {
     if let Some(gpu) = kernel_support::gpu::tracer() {
-        no_ray_escapes_closed_meshes(&mut gpu.with_layout(Layout::Rope));
+        no_ray_escapes_closed_meshes(&mut gpu.with_layout(Traversal::Rope));
     }
 }
 
@@ -94,12 +95,12 @@ fn no_ray_escapes_closed_meshes_gpu() {
 #[test]
 fn no_ray_escapes_closed_meshes_gpu_wide() {
     if let Some(gpu) = kernel_support::gpu::tracer() {
-        no_ray_escapes_closed_meshes(&mut gpu.with_layout(Layout::Wide));
+        no_ray_escapes_closed_meshes(&mut gpu.with_layout(Traversal::Wide));
     }
 }
 
 /// Traces rays that must all hit the mesh, at a t that `is_right` accepts.
-fn all_hit(mesh: &Mesh, rays: &[Ray], is_right: impl Fn(f32) -> bool) {
+fn all_hit(mesh: &Mesh, rays: &[RayRecord], is_right: impl Fn(f32) -> bool) {
     assert!(!rays.is_empty());
     for builder in Builder::BOTH {
         let mut arrays = arrays_by(builder, std::slice::from_ref(mesh), &[Placed::new(0, DAffine3::IDENTITY)]);
@@ -185,7 +186,7 @@ fn rays_through_the_grid_lines_of_a_flat_mesh_hit_it() {
 
         let last = 2 * (SIDE - 1);
         let halves = (0..=last).flat_map(|y| (0..=last).map(move |x| (x as f32 * 0.5, y as f32 * 0.5)));
-        let rays: Vec<Ray> = halves
+        let rays: Vec<RayRecord> = halves
             .flat_map(|(u, v)| {
                 let down = ray(point(u, v, 8.0), point(0.0, 0.0, -2.0));
                 let up = ray(point(u, v, -8.0), point(-0.0, 0.0, 2.0));

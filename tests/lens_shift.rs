@@ -48,7 +48,7 @@ fn a_shifted_camera_sees_a_crop_of_a_larger_image() {
         for [left, top] in [[0, 0], [64, 80], [32, 40], [11, 67]] {
             let center = [left + width / 2, top + height / 2].map(|x| x as f32);
             let shift = Vec2::new(center[0] / width as f32 * 2.0 - 2.0, 3.0 - center[1] / height as f32 * 2.0);
-            let tile = ids(&mut scene, small.shifted(shift), [width, height]);
+            let tile = ids(&mut scene, small.with_lens_shift(shift), [width, height]);
             let row = |y: u32| &whole[((top + y) * 2 * width + left) as usize..][..width as usize];
             let crop: Vec<_> = (0..height).flat_map(row).copied().collect();
             hits += crop.iter().filter(|(_, triangle)| *triangle != u32::MAX).count();

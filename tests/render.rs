@@ -68,7 +68,7 @@ fn each_edit_rebuilds_what_depends_on_it_and_says_why() {
 
     let first = report(&mut renderer, &mut scene);
     assert_eq!(first.compile.tlas, TlasUpdate::Rebuilt(RebuildReason::Empty));
-    assert_eq!((first.compile.blas_built, first.compile.instances, first.compile.scene_triangles), (1, 13, 156));
+    assert_eq!((first.compile.blas_built, first.compile.instances, first.compile.instanced_triangles), (1, 13, 156));
 
     let second = report(&mut renderer, &mut scene);
     assert_eq!((second.compile.tlas, second.compile.blas_built), (TlasUpdate::Kept, 0));

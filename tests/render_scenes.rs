@@ -28,8 +28,8 @@ fn every_scene_is_drawn_whole() {
         let view = View { aovs: true, ..View::framing(&mut scene, 64, 48).unwrap() };
         let frame = renderer.render(&mut scene, &view).unwrap();
         let compile = &frame.report().compile;
-        assert_eq!(compile.scene_triangles as u64, import.counts.scene_triangles, "{name}");
-        assert_eq!(compile.singular_instances, 0, "{name}");
+        assert_eq!(compile.instanced_triangles as u64, import.counts.scene_triangles, "{name}");
+        assert_eq!(compile.unhittable_instances, 0, "{name}");
 
         let image = frame.image().unwrap();
         assert!(image.color.iter().flatten().all(|c| c.is_finite()), "{name}: a pixel is not finite");

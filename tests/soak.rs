@@ -13,7 +13,7 @@ use peak_alloc::PeakAlloc;
 use proptest::strategy::{Strategy, ValueTree};
 use proptest::test_runner::TestRunner;
 use ropewalk::compile::Compiler;
-use ropewalk::{Cursor, Scene};
+use ropewalk::{ChangeCursor, Scene};
 use world::{World, edit_with_geometries};
 
 /// Counts the bytes that are allocated.
@@ -36,7 +36,7 @@ fn a_million_edits_leave_nothing_behind() {
     world.scene.enable_undo();
     world.scene.set_undo_limit(20);
     let (mut compiler, mut mirror) = (Compiler::new(), Scene::new());
-    let (mut of_mirror, mut lagging) = (Cursor::default(), Cursor::default());
+    let (mut of_mirror, mut lagging) = (ChangeCursor::default(), ChangeCursor::default());
     // The most bytes in each tenth of the way, from the first on that has seen a full scene.
     let (mut peaks, mut compared) = (Vec::new(), 0);
 
@@ -91,7 +91,7 @@ fn a_million_edits_leave_nothing_behind() {
 }
 
 /// All readers show the scene as it is, with no more memory on the device than that takes. The number of instances.
-fn check(world: &mut World, compiler: &mut Compiler, mirror: &mut Scene, of_mirror: &mut Cursor) -> usize {
+fn check(world: &mut World, compiler: &mut Compiler, mirror: &mut Scene, of_mirror: &mut ChangeCursor) -> usize {
     world.scene.validate().unwrap();
     compiler.compile(&mut world.scene, EYE).unwrap();
     let mut fresh = Compiler::new();

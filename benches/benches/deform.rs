@@ -12,10 +12,10 @@ use clap::Parser;
 use glam::{DVec3, Quat, Vec3};
 use obvhs::BvhBuildParams;
 use obvhs::bvh2::builder::build_bvh2;
-use ropewalk::accel::{Blas, BuildParams};
+use ropewalk::accel::{Blas, BlasBuildParams};
 use ropewalk::compile::Compiler;
 use ropewalk::device::layout::NONE;
-use ropewalk::{Core, Geometry, Material, Quality, Scene, Structure, gltf};
+use ropewalk::{BlasKind, Core, Geometry, Material, Quality, Scene, gltf};
 use ropewalk_bench::{Contender, Options, Report, Target, medians, milliseconds, time};
 
 /// When to build anew: at so many times the cost at the last build.
@@ -84,8 +84,8 @@ fn at(mesh: &Mesh, time: f32) -> Geometry {
     Geometry { positions: motion(geometry, time).into(), normals: None, ..geometry.clone() }
 }
 
-fn params(quality: Quality) -> BuildParams {
-    BuildParams::new(Structure::Bvh(quality))
+fn params(quality: Quality) -> BlasBuildParams {
+    BlasBuildParams::new(BlasKind::Bvh(quality))
 }
 
 fn build(geometry: &Geometry, quality: Quality) -> Blas {
@@ -96,7 +96,7 @@ fn times(mesh: &Mesh, samples: usize, report: &mut Report) {
     // Two poses in turn: every triangle moves every time.
     let poses = [at(mesh, 0.5), at(mesh, 0.55)];
     let count = poses[0].indices.len();
-    let mut blas = build(&poses[0], Quality::Balanced);
+    let mut blas = build(&poses[0], Quality::Medium);
     let (mut shown, mut peer) = (Shown::new(&poses[0]), Peer::new(&poses[0]));
     let [mut a, mut b, mut c, mut d, mut e] = [0; 5];
     let turn = |which: &mut usize| {
@@ -105,8 +105,8 @@ fn times(mesh: &Mesh, samples: usize, report: &mut Report) {
     };
     let mut contenders: Vec<(&str, Contender)> = vec![
         ("refit", Box::new(|| time(|| assert!(blas.refit(turn(&mut a)))))),
-        ("build, fast", Box::new(|| time(|| build(turn(&mut b), Quality::Fast)))),
-        ("build, balanced", Box::new(|| time(|| build(turn(&mut c), Quality::Balanced)))),
+        ("build, fast", Box::new(|| time(|| build(turn(&mut b), Quality::Low)))),
+        ("build, balanced", Box::new(|| time(|| build(turn(&mut c), Quality::Medium)))),
         ("set_positions and compile", Box::new(|| shown.pose(turn(&mut d)))),
         ("obvhs refit, one thread", Box::new(|| time(|| peer.refit(turn(&mut e))))),
         ("obvhs build, fastest", Box::new(|| time(|| Peer::new(&poses[0])))),
@@ -152,7 +152,7 @@ impl Shown {
         time(|| {
             self.scene.set_positions(self.key, geometry.positions.clone(), None).expect("as many as before");
             let report = self.compiler.compile(&mut self.scene, DVec3::Z).expect("it fits");
-            self.compiler.arrays_mut().forget_dirty();
+            self.compiler.arrays_mut().clear_dirty();
             report
         })
     }
@@ -190,13 +190,13 @@ impl Peer {
 /// Two seconds and more of a motion, under each limit.
 fn decay(mesh: &Mesh, report: &mut Report) {
     let frames: Vec<Geometry> = (0..FRAMES).map(|frame| at(mesh, frame as f32 / 30.0)).collect();
-    let fresh: Vec<f64> = frames.iter().map(|geometry| ray_cost(&build(geometry, Quality::Balanced))).collect();
+    let fresh: Vec<f64> = frames.iter().map(|geometry| ray_cost(&build(geometry, Quality::Medium))).collect();
     for limit in LIMITS {
-        let mut blas = build(&frames[0], Quality::Balanced);
+        let mut blas = build(&frames[0], Quality::Medium);
         let (mut built_cost, mut rebuilds, mut costs) = (blas.stats().sah_cost, 0, Vec::new());
         for (geometry, fresh) in frames.iter().zip(&fresh) {
             if !blas.refit(geometry) || blas.stats().sah_cost > built_cost * limit {
-                blas = build(geometry, Quality::Balanced);
+                blas = build(geometry, Quality::Medium);
                 built_cost = blas.stats().sah_cost;
                 rebuilds += 1;
             }
@@ -223,7 +223,7 @@ fn ray_cost(blas: &Blas) -> f64 {
     let mut signed = || random.f32() * 2.0 - 1.0;
     let (center, size) = (blas.bounds.center(), (blas.bounds.max - blas.bounds.min).length());
     let step = blas.triangles.len() / RAYS;
-    let triangle_cost = f64::from(BuildParams::default().triangle_cost);
+    let triangle_cost = f64::from(BlasBuildParams::default().triangle_cost);
     let mut cost = 0.0;
     // Which triangles these are must not depend on the structure.
     let mut by_primitive: Vec<usize> = (0..blas.triangles.len()).collect();
@@ -240,14 +240,14 @@ fn ray_cost(blas: &Blas) -> f64 {
             let [a, b] = [node.min, node.max].map(|corner| (Vec3::from(corner) - origin) * inverse);
             let (near, far) = (a.min(b).max_element().max(0.0), a.max(b).min_element().min(t_max));
             let is_met = near <= far * 1.00001;
-            let count = if is_met { node.primitives.count() as usize } else { 0 };
-            let first = node.primitives.first() as usize;
+            let count = if is_met { node.primitives.primitive_count() as usize } else { 0 };
+            let first = node.primitives.first_primitive() as usize;
             for triangle in blas.triangles.get(first..first + count).unwrap_or_default() {
                 cost += triangle_cost;
                 let corners = [triangle.v0, triangle.v1, triangle.v2].map(Vec3::from);
                 t_max = t_max.min(distance(origin, direction, corners));
             }
-            index = if is_met && node.primitives.count() == 0 { index + 1 } else { node.escape_index };
+            index = if is_met && node.primitives.primitive_count() == 0 { index + 1 } else { node.escape_index };
             if index == NONE {
                 break;
             }

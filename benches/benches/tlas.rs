@@ -223,7 +223,7 @@ fn our_cost(nodes: &[Node]) -> f64 {
         let node = &nodes[index];
         let content = match node.primitives {
             PrimitiveRange::INNER => Ok([index + 1, nodes[index + 1].escape_index as usize]),
-            leaf => Err(leaf.count()),
+            leaf => Err(leaf.primitive_count()),
         };
         (half_area(node.min.into(), node.max.into()), content)
     })

@@ -6,7 +6,7 @@ use std::process::ExitCode;
 
 use clap::Parser;
 use glam::{DAffine3, DQuat, DVec3};
-use ropewalk::accel::{Blas, BuildParams, Support};
+use ropewalk::accel::{Blas, BlasBuildParams, SupportFunction};
 use ropewalk::{Bounds, Geometry, Scene, gltf};
 use ropewalk_bench::{Contender, Options, Report, Target, medians, time};
 
@@ -36,8 +36,8 @@ fn main() -> ExitCode {
 
 fn measure(name: &str, geometry: &Geometry, samples: usize, report: &mut Report) {
     const CALLS: usize = 1000;
-    let Ok(blas) = Blas::build(geometry, &BuildParams::default()) else { return };
-    let (support, bounds) = (Support::new(&blas), Bounds::from(blas.bounds));
+    let Ok(blas) = Blas::build(geometry, &BlasBuildParams::default()) else { return };
+    let (support, bounds) = (SupportFunction::new(&blas), Bounds::from(blas.bounds));
     let mut random = fastrand::Rng::with_seed(3);
     let mut signed = || random.f64() * 2.0 - 1.0;
     let placements: Vec<DAffine3> = (0..CALLS)
@@ -48,7 +48,7 @@ fn measure(name: &str, geometry: &Geometry, samples: usize, report: &mut Report)
         .collect();
     let sum = |of: &dyn Fn(&DAffine3) -> Bounds| placements.iter().map(|p| half_area(&of(p))).sum::<f64>();
     let mut contenders: Vec<Contender> = vec![
-        Box::new(|| time(|| Support::new(&blas))),
+        Box::new(|| time(|| SupportFunction::new(&blas))),
         Box::new(|| time(|| sum(&|placement| support.world_bounds(placement)))),
         Box::new(|| time(|| sum(&|placement| bounds.transformed(placement)))),
     ];

@@ -210,7 +210,7 @@ impl Drop for Scene<'_> {
 /// Rays as Embree takes them and answers in them: to be traced, read, and written anew.
 pub trait Batch {
     /// Takes over rays that have not been traced.
-    fn write(&mut self, rays: &[layout::Ray]);
+    fn write(&mut self, rays: &[layout::RayRecord]);
 
     /// Traces them.
     fn trace(&mut self, scene: &Scene<'_>, is_coherent: bool);
@@ -237,7 +237,7 @@ pub struct Any1(Vec<Ray>);
 pub struct Any16(Vec<(Valid, Ray16)>);
 
 impl Batch for Closest1 {
-    fn write(&mut self, rays: &[layout::Ray]) {
+    fn write(&mut self, rays: &[layout::RayRecord]) {
         self.0.clear();
         self.0.extend(rays.iter().map(|ray| RayHit::from(Ray::from(ray))));
     }
@@ -256,7 +256,7 @@ impl Batch for Closest1 {
 }
 
 impl Batch for Closest16 {
-    fn write(&mut self, rays: &[layout::Ray]) {
+    fn write(&mut self, rays: &[layout::RayRecord]) {
         self.0.clear();
         self.0.extend(rays.chunks(16).map(|rays| (Valid::new(rays.len()), RayHit16::from(Ray16::from(rays)))));
     }
@@ -277,7 +277,7 @@ impl Batch for Closest16 {
 }
 
 impl Batch for Any1 {
-    fn write(&mut self, rays: &[layout::Ray]) {
+    fn write(&mut self, rays: &[layout::RayRecord]) {
         self.0.clear();
         self.0.extend(rays.iter().map(Ray::from));
     }
@@ -296,7 +296,7 @@ impl Batch for Any1 {
 }
 
 impl Batch for Any16 {
-    fn write(&mut self, rays: &[layout::Ray]) {
+    fn write(&mut self, rays: &[layout::RayRecord]) {
         self.0.clear();
         self.0.extend(rays.chunks(16).map(|rays| (Valid::new(rays.len()), Ray16::from(rays))));
     }

@@ -5,9 +5,9 @@ use std::time::Duration;
 
 use bytemuck::Pod;
 use ropewalk::device::DeviceArrays;
-use ropewalk::device::layout::{Hit, NONE, Ray};
-use ropewalk::trace::gpu::{Adapters, GpuOptions, GpuTracer, RayBuffers};
-use ropewalk::trace::{Layout, Tracer as _};
+use ropewalk::device::layout::{HitRecord, NONE, RayRecord};
+use ropewalk::trace::gpu::{AdapterKinds, GpuOptions, GpuTracer, RayBuffers};
+use ropewalk::trace::{Tracer as _, Traversal};
 use serde_json::{Value, json};
 use wgpu::{BufferUsages, ComputePassDescriptor, ComputePassTimestampWrites, DeviceType};
 
@@ -20,10 +20,10 @@ use crate::{Options, Result, time};
 /// # Errors
 /// There is none.
 pub fn open(options: &Options) -> Result<GpuTracer> {
-    Ok(open_among(if options.software { Adapters::Any } else { Adapters::Hardware })?)
+    Ok(open_among(if options.software { AdapterKinds::IncludingSoftware } else { AdapterKinds::Hardware })?)
 }
 
-fn open_among(adapters: Adapters) -> ropewalk::Result<GpuTracer> {
+fn open_among(adapters: AdapterKinds) -> ropewalk::Result<GpuTracer> {
     GpuTracer::new(&GpuOptions { adapters, ..GpuOptions::default() })
 }
 
@@ -38,7 +38,7 @@ fn is_software(tracer: &GpuTracer) -> bool {
 
 /// Name, driver, interface and features of the best adapter, be it a GPU or not; else why there is none.
 pub(crate) fn adapter() -> Value {
-    let tracer = match open_among(Adapters::Any) {
+    let tracer = match open_among(AdapterKinds::IncludingSoftware) {
         Ok(tracer) => tracer,
         Err(error) => return json!({ "error": error.to_string() }),
     };
@@ -63,7 +63,7 @@ impl Gpu {
     ///
     /// # Errors
     /// There is none, or the scene is too large for it.
-    pub fn new(options: &Options, arrays: &mut DeviceArrays, layout: Layout) -> Result<Self> {
+    pub fn new(options: &Options, arrays: &mut DeviceArrays, layout: Traversal) -> Result<Self> {
         let mut tracer = open(options)?.with_layout(layout);
         tracer.upload(arrays)?;
         Ok(Self(RefCell::new(tracer)))
@@ -80,7 +80,7 @@ impl Gpu {
     }
 
     /// Rays and hits stay on the GPU; the time is the GPU's own. `None` if it has no clock.
-    pub fn resident<'a>(&'a self, rays: &[Ray], kind: RayKind) -> Option<Resident<'a>> {
+    pub fn resident<'a>(&'a self, rays: &[RayRecord], kind: RayKind) -> Option<Resident<'a>> {
         let tracer = self.0.borrow();
         let (device, queue) = (tracer.wgpu_device(), tracer.wgpu_queue());
         if !device.features().contains(wgpu::Features::TIMESTAMP_QUERY) {
@@ -90,7 +90,7 @@ impl Gpu {
             let size = size as u64;
             device.create_buffer(&wgpu::BufferDescriptor { label: None, size, usage, mapped_at_creation: false })
         };
-        let answers_size = rays.len() * if kind.is_any_hit() { size_of::<u32>() } else { size_of::<Hit>() };
+        let answers_size = rays.len() * if kind.is_any_hit() { size_of::<u32>() } else { size_of::<HitRecord>() };
         let resident = Resident {
             tracer: &self.0,
             kind,
@@ -109,7 +109,12 @@ impl Gpu {
     }
 
     /// As an application calls it: rays go to the GPU, hits come back; the time is the wall's.
-    pub fn transferred<'a>(&'a self, arrays: &'a DeviceArrays, rays: &'a [Ray], kind: RayKind) -> Transferred<'a> {
+    pub fn transferred<'a>(
+        &'a self,
+        arrays: &'a DeviceArrays,
+        rays: &'a [RayRecord],
+        kind: RayKind,
+    ) -> Transferred<'a> {
         Transferred { tracer: &self.0, arrays, rays, kind, answers: Vec::new() }
     }
 }
@@ -129,7 +134,7 @@ impl Resident<'_> {
     fn trace(&self) -> Result<Duration> {
         let mut tracer = self.tracer.borrow_mut();
         let mut encoder = tracer.wgpu_device().create_command_encoder(&Default::default());
-        let buffers = RayBuffers { rays: &self.rays, answers: &self.answers, count: self.count, ray_mask: NONE };
+        let buffers = RayBuffers { rays: &self.rays, results: &self.answers, count: self.count, ray_mask: NONE };
         self.stamp(&mut encoder, 0);
         if self.kind.is_any_hit() {
             tracer.record_any_hits(&mut encoder, &buffers)?;
@@ -166,7 +171,7 @@ impl Runner for Resident<'_> {
             let hits: Vec<u32> = read(&tracer, &self.answers).unwrap_or_default();
             return hits.into_iter().map(|hit| any_answer(hit != 0)).collect();
         }
-        read::<Hit>(&tracer, &self.answers).unwrap_or_default().iter().map(closest_answer).collect()
+        read::<HitRecord>(&tracer, &self.answers).unwrap_or_default().iter().map(closest_answer).collect()
     }
 }
 
@@ -192,7 +197,7 @@ fn read<T: Pod>(tracer: &GpuTracer, buffer: &wgpu::Buffer) -> Result<Vec<T>> {
 pub struct Transferred<'a> {
     tracer: &'a RefCell<GpuTracer>,
     arrays: &'a DeviceArrays,
-    rays: &'a [Ray],
+    rays: &'a [RayRecord],
     kind: RayKind,
     answers: Vec<f32>,
 }

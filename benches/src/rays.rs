@@ -5,7 +5,7 @@ use std::f32::consts::TAU;
 use clap::ValueEnum;
 use glam::Vec3;
 use rayon::prelude::*;
-use ropewalk::device::layout::{Hit, NONE, Ray};
+use ropewalk::device::layout::{HitRecord, NONE, RayRecord};
 use ropewalk::trace::{Emulated, Tracer as _};
 use ropewalk::{Camera, View};
 
@@ -52,7 +52,7 @@ impl RayKind {
 
 /// Every ray of a scene, in the space of its device arrays. Directions have length 1.
 #[derive(Clone, Debug)]
-pub struct RaySets([Vec<Ray>; 4]);
+pub struct RaySets([Vec<RayRecord>; 4]);
 
 /// Rays that one task traces.
 const CHUNK: usize = 1 << 12;
@@ -76,7 +76,7 @@ impl RaySets {
             let surface = Surface::new(scene, ray, hit);
             let incoming = Vec3::from_array(ray.direction);
             let to_light = scene.light - surface.origin;
-            shadow.push(Ray { t_max: to_light.length() * TO_LIGHT, ..surface.ray(to_light) });
+            shadow.push(RayRecord { t_max: to_light.length() * TO_LIGHT, ..surface.ray(to_light) });
             mirror.push(surface.ray(incoming - 2.0 * incoming.dot(surface.normal) * surface.normal));
             diffuse.push(surface.ray(surface.cosine_direction(&mut random)));
         }
@@ -84,17 +84,17 @@ impl RaySets {
     }
 
     /// The rays of one kind.
-    pub fn of(&self, kind: RayKind) -> &[Ray] {
+    pub fn of(&self, kind: RayKind) -> &[RayRecord] {
         &self.0[kind as usize]
     }
 }
 
-fn closest_hits(scene: &BenchScene, rays: &[Ray]) -> Result<Vec<Hit>> {
+fn closest_hits(scene: &BenchScene, rays: &[RayRecord]) -> Result<Vec<HitRecord>> {
     let hits = rays.par_chunks(CHUNK).map(|rays| Emulated::default().closest_hits(scene.arrays(), rays, NONE));
     Ok(hits.collect::<ropewalk::Result<Vec<_>>>()?.concat())
 }
 
-fn any_hits(scene: &BenchScene, rays: &[Ray]) -> Result<Vec<bool>> {
+fn any_hits(scene: &BenchScene, rays: &[RayRecord]) -> Result<Vec<bool>> {
     let hits = rays.par_chunks(CHUNK).map(|rays| Emulated::default().any_hits(scene.arrays(), rays, NONE));
     Ok(hits.collect::<ropewalk::Result<Vec<_>>>()?.concat())
 }
@@ -103,7 +103,7 @@ fn any_hits(scene: &BenchScene, rays: &[Ray]) -> Result<Vec<bool>> {
 ///
 /// # Errors
 /// As [`Tracer::closest_hits`](ropewalk::trace::Tracer::closest_hits).
-pub fn true_answers(scene: &BenchScene, rays: &[Ray], kind: RayKind) -> Result<Vec<f32>> {
+pub fn true_answers(scene: &BenchScene, rays: &[RayRecord], kind: RayKind) -> Result<Vec<f32>> {
     if kind.is_any_hit() {
         return Ok(any_hits(scene, rays)?.into_iter().map(any_answer).collect());
     }
@@ -111,7 +111,7 @@ pub fn true_answers(scene: &BenchScene, rays: &[Ray], kind: RayKind) -> Result<V
 }
 
 /// How far a ray went: infinity for a miss.
-pub fn closest_answer(hit: &Hit) -> f32 {
+pub fn closest_answer(hit: &HitRecord) -> f32 {
     if hit.instance == NONE { f32::INFINITY } else { hit.t }
 }
 
@@ -144,7 +144,7 @@ impl Differences {
 
 /// Where a ray meets a triangle, either side, before `t_max`: Möller and Trumbore's test, for those who bring none of their own.
 #[inline]
-pub fn meet(ray: &Ray, [v0, v1, v2]: &[Vec3; 3], t_max: f32) -> Option<f32> {
+pub fn meet(ray: &RayRecord, [v0, v1, v2]: &[Vec3; 3], t_max: f32) -> Option<f32> {
     let [origin, direction] = [ray.origin, ray.direction].map(Vec3::from_array);
     let (edge_1, edge_2, to_origin) = (v1 - v0, v2 - v0, origin - v0);
     let (p, q) = (direction.cross(edge_2), to_origin.cross(edge_1));
@@ -154,7 +154,7 @@ pub fn meet(ray: &Ray, [v0, v1, v2]: &[Vec3; 3], t_max: f32) -> Option<f32> {
 }
 
 /// Through the middle of each pixel, block after block, row by row.
-fn primary(scene: &BenchScene) -> Vec<Ray> {
+fn primary(scene: &BenchScene) -> Vec<RayRecord> {
     const BLOCK: u32 = 4;
     let pose = &scene.view.world_from_view;
     let [right, up, back] =
@@ -173,8 +173,8 @@ fn primary(scene: &BenchScene) -> Vec<Ray> {
     blocks.flat_map(|[x, y]| (0..BLOCK * BLOCK).map(move |i| ray(x + i % BLOCK, y + i / BLOCK))).collect()
 }
 
-fn ray(origin: Vec3, direction: Vec3) -> Ray {
-    Ray { origin: origin.to_array(), t_min: 0.0, direction: direction.normalize().to_array(), t_max: f32::MAX }
+fn ray(origin: Vec3, direction: Vec3) -> RayRecord {
+    RayRecord { origin: origin.to_array(), t_min: 0.0, direction: direction.normalize().to_array(), t_max: f32::MAX }
 }
 
 /// Where a ray hit.
@@ -186,7 +186,7 @@ struct Surface {
 }
 
 impl Surface {
-    fn new(scene: &BenchScene, ray: &Ray, hit: &Hit) -> Self {
+    fn new(scene: &BenchScene, ray: &RayRecord, hit: &HitRecord) -> Self {
         let [origin, direction] = [ray.origin, ray.direction].map(Vec3::from_array);
         let [v0, v1, v2] = scene.corners(hit);
         let normal = (v1 - v0).cross(v2 - v0).normalize_or(-direction);
@@ -196,7 +196,7 @@ impl Surface {
         Self { origin: position + normal * (OFFSET * reach), normal }
     }
 
-    fn ray(&self, direction: Vec3) -> Ray {
+    fn ray(&self, direction: Vec3) -> RayRecord {
         ray(self.origin, direction)
     }
 
@@ -231,7 +231,7 @@ mod tests {
         let paper = paper_arrays(scene.arrays()).unwrap();
         let sets = RaySets::new(&scene).unwrap();
         for kind in RayKind::ALL {
-            let rays: Vec<Ray> = sets.of(kind).iter().step_by(7).copied().collect();
+            let rays: Vec<RayRecord> = sets.of(kind).iter().step_by(7).copied().collect();
             let truth = true_answers(&scene, &rays, kind).unwrap();
             // Nothing outside of a sphere hides it from anything else outside.
             let hit_share = truth.iter().filter(|t| t.is_finite()).count() as f64 / rays.len() as f64;

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use rayon::ThreadPool;
 use ropewalk::device::DeviceArrays;
-use ropewalk::device::layout::{Hit, NONE, Ray};
+use ropewalk::device::layout::{HitRecord, NONE, RayRecord};
 use ropewalk::trace::Tracer;
 
 use crate::rays::{RayKind, any_answer, closest_answer};
@@ -24,9 +24,9 @@ pub struct Traced<'a> {
     tracer: Box<dyn Tracer + Send>,
     pool: &'a ThreadPool,
     arrays: &'a DeviceArrays,
-    rays: &'a [Ray],
+    rays: &'a [RayRecord],
     kind: RayKind,
-    closest: Vec<Hit>,
+    closest: Vec<HitRecord>,
     any: Vec<bool>,
 }
 
@@ -36,7 +36,7 @@ impl<'a> Traced<'a> {
         tracer: impl Tracer + Send + 'static,
         pool: &'a ThreadPool,
         arrays: &'a DeviceArrays,
-        rays: &'a [Ray],
+        rays: &'a [RayRecord],
         kind: RayKind,
     ) -> Self {
         Self { tracer: Box::new(tracer), pool, arrays, rays, kind, closest: Vec::new(), any: Vec::new() }

@@ -8,7 +8,7 @@ use glam::{DVec3, Vec3, Vec4};
 use ropewalk::compile::Compiler;
 use ropewalk::device::DeviceArrays;
 use ropewalk::device::Needs;
-use ropewalk::device::layout::{Hit, Instance, NONE, Node, Triangle};
+use ropewalk::device::layout::{HitRecord, InstanceRecord, NONE, Node, Triangle};
 use ropewalk::{Camera, Material, Scene, View, gltf};
 
 use crate::Result;
@@ -145,7 +145,7 @@ impl BenchScene {
     /// As [`Compiler::compile`].
     pub fn compile(name: &'static str, scene: &mut Scene, mut view: View, light: DVec3) -> Result<Self> {
         let mut compiler = Compiler::new();
-        let needs = compiler.compile(scene, view.observer())?.needs;
+        let needs = compiler.compile(scene, view.viewpoint())?.needs;
         view.world_from_view.translation -= compiler.origin();
         let light = (light - compiler.origin()).as_vec3();
         Ok(Self { name, compiler, needs, triangle_count: scene.instanced_triangle_count(), view, light })
@@ -162,7 +162,7 @@ impl BenchScene {
     }
 
     /// The corners of the triangle that was hit.
-    pub fn corners(&self, hit: &Hit) -> [Vec3; 3] {
+    pub fn corners(&self, hit: &HitRecord) -> [Vec3; 3] {
         let arrays = self.arrays();
         placed(&arrays.instances[hit.instance as usize], &arrays.triangles[hit.triangle as usize])
     }
@@ -187,7 +187,7 @@ impl BenchScene {
     }
 }
 
-fn placed(instance: &Instance, triangle: &Triangle) -> [Vec3; 3] {
+fn placed(instance: &InstanceRecord, triangle: &Triangle) -> [Vec3; 3] {
     let [x, y, z] = instance.world_from_local.map(Vec4::from_array);
     [triangle.v0, triangle.v1, triangle.v2].map(|corner| {
         let corner = Vec3::from_array(corner).extend(1.0);
@@ -201,12 +201,12 @@ pub(crate) fn leaves(nodes: &[Node]) -> impl Iterator<Item = (usize, usize)> {
     std::iter::from_fn(move || {
         while next != NONE {
             let node = &nodes[next as usize];
-            if node.primitives.count() > 0 {
+            if node.primitives.primitive_count() > 0 {
                 next = node.escape_index;
-                return Some((node.primitives.first() as usize, node.primitives.count() as usize));
+                return Some((node.primitives.first_primitive() as usize, node.primitives.primitive_count() as usize));
             }
             // An unused one has no children.
-            next = if node.is_unused() { node.escape_index } else { next + 1 };
+            next = if node.is_empty() { node.escape_index } else { next + 1 };
         }
         None
     })

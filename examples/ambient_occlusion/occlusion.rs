@@ -57,9 +57,9 @@ impl Occlusion {
     /// How open each pixel is, from 0 to 1, row by row; `None` where no GPU traces.
     pub(crate) fn compute(&self, renderer: &mut Renderer, scene: &mut Scene) -> Result<Option<Vec<f32>>> {
         // 1. The scene to the GPU.
-        let needs = renderer.update(scene)?.needs;
-        let params = self.params(renderer.origin());
-        let Some(gpu) = renderer.gpu() else { return Ok(None) };
+        let needs = renderer.prepare(scene)?.needs;
+        let params = self.params(renderer.render_origin());
+        let Some(gpu) = renderer.gpu_tracer() else { return Ok(None) };
 
         // 2. The shader: the scene is its group 1. A program that does this every frame keeps the pipeline while the include stays
         //    equal.

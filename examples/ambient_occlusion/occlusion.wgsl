@@ -26,7 +26,7 @@ fn occlude(@builtin(global_invocation_id) id: vec3<u32>) {
     let y = 1.0 - (f32(id.y) + 0.5) / f32(occlusion.height) * 2.0;
     let direction = normalize3(occlusion.forward + occlusion.right * x + occlusion.up * y);
 
-    let hit = closest_hit(Ray(occlusion.eye, 0.0, direction, F32_MAX), 0xffffffffu);
+    let hit = closest_hit(RayRecord(occlusion.eye, 0.0, direction, F32_MAX), 0xffffffffu);
     if hit.instance == NONE {
         openness[pixel] = 1.0;
         return;
@@ -35,7 +35,7 @@ fn occlude(@builtin(global_invocation_id) id: vec3<u32>) {
     var open = 0u;
     for (var i = 0u; i < occlusion.samples; i += 1u) {
         let outward = occlusion_direction(surface.normal, pixel * occlusion.samples + i);
-        let blocked = any_hit(Ray(leave(surface, outward), 0.0, outward, occlusion.radius), 0xffffffffu);
+        let blocked = any_hit(RayRecord(offset_ray_origin(surface, outward), 0.0, outward, occlusion.radius), 0xffffffffu);
         open += select(1u, 0u, blocked);
     }
     openness[pixel] = f32(open) / f32(occlusion.samples);

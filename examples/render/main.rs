@@ -53,15 +53,15 @@ fn run(arguments: &Arguments) -> Result<(), String> {
 
     let options = RendererOptions { device: arguments.device.into() };
     let mut renderer = Renderer::new(&options).map_err(|error| error.to_string())?;
-    if let Some(reason) = renderer.fallback() {
+    if let Some(reason) = renderer.fallback_reason() {
         eprintln!("rendering on the CPU: {}", one_line(reason));
     }
 
     let mut report = Report {
         file: arguments.file.clone(),
         import: subject.import.as_ref().map(|import| import.counts),
-        not_honoured: subject.import.as_ref().map(|import| import.not_honoured.clone()).unwrap_or_default(),
-        fallback: renderer.fallback().map(str::to_owned),
+        not_honoured: subject.import.as_ref().map(|import| import.warnings.clone()).unwrap_or_default(),
+        fallback: renderer.fallback_reason().map(str::to_owned),
         load_time,
         nodes: subject.scene.node_count(),
         geometries: subject.scene.geometry_count(),

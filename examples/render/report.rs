@@ -6,7 +6,7 @@ use std::time::Duration;
 use comfy_table::Table;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use ropewalk::FrameReport;
-use ropewalk::gltf::{ImportCounts, NotHonoured};
+use ropewalk::gltf::{ImportCounts, ImportWarning};
 use serde::{Serialize, Serializer};
 
 /// One run of the program. Times are in seconds.
@@ -17,7 +17,7 @@ pub(crate) struct Report {
     /// What the file gave.
     pub(crate) import: Option<ImportCounts>,
     /// What of the file was not honoured, or not to the letter.
-    pub(crate) not_honoured: Vec<NotHonoured>,
+    pub(crate) not_honoured: Vec<ImportWarning>,
     /// Why the GPU was not used, where it was wanted.
     pub(crate) fallback: Option<String>,
     /// To read the file or make the scene.
@@ -75,9 +75,9 @@ impl Report {
             ["device", &format!("{} ({})", first.device.executor, first.device.name)],
             ["image", &format!("{}x{}, {rays} primary rays", self.size.0, self.size.1)],
             ["nodes", &self.nodes.to_string()],
-            ["geometries", &format!("{}, {} triangles", self.geometries, compile.triangles)],
-            ["instances", &format!("{}, {} triangles", compile.instances, compile.scene_triangles)],
-            ["instances that no ray can hit", &compile.singular_instances.to_string()],
+            ["geometries", &format!("{}, {} triangles", self.geometries, compile.unique_triangles)],
+            ["instances", &format!("{}, {} triangles", compile.instances, compile.instanced_triangles)],
+            ["instances that no ray can hit", &compile.unhittable_instances.to_string()],
             [
                 "materials, textures, lights",
                 &format!("{}, {}, {}", compile.materials, compile.textures, compile.lights),

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use glam::{DAffine3, DMat3, DQuat, DVec3};
-use ropewalk::gltf::{self, ImportOptions, ImportReport, SceneChoice};
+use ropewalk::gltf::{self, ImportOptions, ImportReport, SceneSelector};
 use ropewalk::{NodeKey, Scene, Sky, View};
 
 use crate::arguments::Arguments;
@@ -56,8 +56,8 @@ impl Subject {
 
 fn import(file: &Path, arguments: &Arguments, scene: &mut Scene) -> Result<ImportReport, String> {
     let choice = |wanted: &String| match wanted.parse() {
-        Ok(index) => SceneChoice::Index(index),
-        Err(_) => SceneChoice::Name(wanted.clone()),
+        Ok(index) => SceneSelector::Index(index),
+        Err(_) => SceneSelector::Name(wanted.clone()),
     };
     let options = ImportOptions { scene: arguments.scene.as_ref().map(choice) };
     let root = scene.root();

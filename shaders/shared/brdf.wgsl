@@ -3,13 +3,13 @@
 
 const PI: f32 = 3.14159265358979;
 // Roughness up to which a surface is a mirror. Above MAX_MIRROR_ROUGHNESS, a constant of the compiler's, nothing is seen in it.
-const MIRROR_ROUGHNESS: f32 = 0.1;
+const SHARP_REFLECTION_ROUGHNESS: f32 = 0.1;
 // Punctual lights have no size, and a polished surface would show none: they are seen in it as in this roughness.
-const HIGHLIGHT_ROUGHNESS: f32 = 0.1;
+const MIN_HIGHLIGHT_ROUGHNESS: f32 = 0.1;
 
 // How much of a surface's reflection is traced, 1 for a mirror; the rest is blurred sky.
-fn sharpness(roughness: f32) -> f32 {
-    let x = clamp((MAX_MIRROR_ROUGHNESS - roughness) * (1.0 / (MAX_MIRROR_ROUGHNESS - MIRROR_ROUGHNESS)), 0.0, 1.0);
+fn traced_reflection_share(roughness: f32) -> f32 {
+    let x = clamp((MAX_MIRROR_ROUGHNESS - roughness) * (1.0 / (MAX_MIRROR_ROUGHNESS - SHARP_REFLECTION_ROUGHNESS)), 0.0, 1.0);
     return (x * x) * (3.0 - 2.0 * x);
 }
 
@@ -39,32 +39,32 @@ fn schlick(cosine: f32) -> f32 {
 }
 
 // How much of the rise of reflectance towards grazing angles is left on a rough surface: a fit to the microfacets' albedo.
-fn polish(roughness: f32) -> f32 {
+fn grazing_rise(roughness: f32) -> f32 {
     return 1.0 - roughness * (0.1 + 0.86 * roughness);
 }
 
 // How a surface divides the light that comes along the line of view; with what it absorbs, the sum is 1.
-struct Shares {
+struct LobeWeights {
     // Like a mirror, sharp or blurred.
-    mirrored: vec3<f32>,
+    specular_reflection: vec3<f32>,
     // Through the surface.
-    refracted: vec3<f32>,
+    specular_transmission: vec3<f32>,
     // In all directions.
-    matt: vec3<f32>,
+    diffuse: vec3<f32>,
 }
 
 // `eta` is as in fresnel_dielectric.
-fn divide_light(surface: Surface, cosine: f32, eta: f32) -> Shares {
+fn lobe_weights(surface: Surface, cosine: f32, eta: f32) -> LobeWeights {
     let base_color = surface.base_color.xyz;
-    let rise = polish(surface.roughness);
+    let rise = grazing_rise(surface.roughness);
     let metal = mix3(base_color, vec3<f32>(1.0), schlick(cosine) * rise);
     var dielectric = fresnel_dielectric(cosine, eta);
     if dielectric < 1.0 {
-        let normal_incidence = normal_reflectance(surface.ior);
+        let normal_incidence = f0_from_ior(surface.ior);
         dielectric = normal_incidence + (dielectric - normal_incidence) * rise;
     }
     let entering = (1.0 - surface.metallic) * (1.0 - dielectric);
-    return Shares(
+    return LobeWeights(
         mix3(vec3<f32>(dielectric), metal, surface.metallic),
         surface.tint * (entering * surface.transmission),
         base_color * (entering * (1.0 - surface.transmission)),
@@ -73,30 +73,30 @@ fn divide_light(surface: Surface, cosine: f32, eta: f32) -> Shares {
 
 // The light that a surface reflects to the viewer of light from one direction, times that direction's cosine. All unit vectors.
 // The model is glTF's, but for one thing: what is mirrored towards the viewer is missing from the matt part there, too.
-fn reflect_light(surface: Surface, to_viewer: vec3<f32>, to_light: vec3<f32>) -> vec3<f32> {
+fn evaluate_brdf(surface: Surface, to_viewer: vec3<f32>, to_light: vec3<f32>) -> vec3<f32> {
     let n_l = dot3(surface.normal, to_light);
     if n_l <= 0.0 {
         return vec3<f32>(0.0);
     }
-    let n_v = max(dot3(surface.normal, to_viewer), GRAZING);
-    let half_way = unit_or(to_viewer + to_light, surface.normal);
+    let n_v = max(dot3(surface.normal, to_viewer), MIN_COSINE);
+    let half_way = normalize_or(to_viewer + to_light, surface.normal);
     let n_h = clamp(dot3(surface.normal, half_way), 0.0, 1.0);
     let edge = schlick(dot3(to_viewer, half_way));
 
-    let f0 = normal_reflectance(surface.ior);
+    let f0 = f0_from_ior(surface.ior);
     let dielectric = f0 + (1.0 - f0) * edge;
     let metal = mix3(surface.base_color.xyz, vec3<f32>(1.0), edge);
     let fresnel = mix3(vec3<f32>(dielectric), metal, surface.metallic);
-    let towards_viewer = f0 + (1.0 - f0) * (schlick(n_v) * polish(surface.roughness));
+    let towards_viewer = f0 + (1.0 - f0) * (schlick(n_v) * grazing_rise(surface.roughness));
     let matt = (1.0 - surface.metallic) * (1.0 - max(dielectric, towards_viewer)) * (1.0 - surface.transmission);
 
-    let roughness = max(surface.roughness, HIGHLIGHT_ROUGHNESS);
-    let specular = fresnel * microfacets(n_l, n_v, n_h, roughness * roughness);
+    let roughness = max(surface.roughness, MIN_HIGHLIGHT_ROUGHNESS);
+    let specular = fresnel * ggx_specular(n_l, n_v, n_h, roughness * roughness);
     return (surface.base_color.xyz * (matt / PI) + specular) * n_l;
 }
 
 // GGX's distribution times Smith's height-correlated visibility.
-fn microfacets(n_l: f32, n_v: f32, n_h: f32, alpha: f32) -> f32 {
+fn ggx_specular(n_l: f32, n_v: f32, n_h: f32, alpha: f32) -> f32 {
     let square = alpha * alpha;
     // (n_h^2 (square - 1) + 1) without the cancellation at n_h = 1
     let spread = (1.0 - n_h * n_h) + (n_h * n_h) * square;

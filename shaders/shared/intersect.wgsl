@@ -1,16 +1,16 @@
 // Ray against box and ray against triangle. Twin of src/trace/kernel/intersect.rs: the proofs are there.
 
-const BOX_SLACK: f32 = 1.0 - 0x1p-18;
-const LEAST_SHARE: f32 = 0x1p-64;
-const LEAST_COMPONENT: f32 = 0x1p-120;
-const LARGE: f32 = 0x1p63;
+const BOX_ENTRY_SCALE: f32 = 1.0 - 0x1p-18;
+const MIN_RELATIVE_COMPONENT: f32 = 0x1p-64;
+const MIN_COMPONENT: f32 = 0x1p-120;
+const SQRT_MAX_QUOTIENT: f32 = 0x1p63;
 const CORNER_TOLERANCE: f32 = 0x1p-22;
 const EDGE_TOLERANCE: f32 = 0x1p-21;
 
 // A ray as boxes see it.
 struct SlabRay {
     origin: vec3<f32>,
-    reciprocal: vec3<f32>,
+    reciprocal_direction: vec3<f32>,
 }
 
 // A ray as triangles see it: the rows of a shear that takes it to the z axis, and of what takes points to t.
@@ -23,11 +23,11 @@ struct ShearRay {
     // A power of two that takes coordinates to about 1.
     scale: f32,
     // From t to the unit of the sheared x and y.
-    depth_scale: f32,
+    t_to_sheared: f32,
 }
 
 // Where a ray meets a triangle's plane within its edges.
-struct Crossing {
+struct TriangleHit {
     t: f32,
     u: f32,
     v: f32,
@@ -45,19 +45,19 @@ fn max_component(v: vec3<f32>) -> f32 {
 }
 
 fn slab_ray(origin: vec3<f32>, direction: vec3<f32>) -> SlabRay {
-    let least = max(max_component(abs(direction)) * LEAST_SHARE, LEAST_COMPONENT);
+    let least = max(max_component(abs(direction)) * MIN_RELATIVE_COMPONENT, MIN_COMPONENT);
     let bounded = max(abs(direction), vec3<f32>(least));
     return SlabRay(origin, select(1.0 / bounded, -1.0 / bounded, direction < vec3<f32>(0.0)));
 }
 
-fn meets_box(ray: SlabRay, t_min: f32, t_max: f32, box_min: vec3<f32>, box_max: vec3<f32>) -> bool {
-    let a = (box_min - ray.origin) * ray.reciprocal;
-    let b = (box_max - ray.origin) * ray.reciprocal;
+fn intersects_box(ray: SlabRay, t_min: f32, t_max: f32, box_min: vec3<f32>, box_max: vec3<f32>) -> bool {
+    let a = (box_min - ray.origin) * ray.reciprocal_direction;
+    let b = (box_max - ray.origin) * ray.reciprocal_direction;
     let near = min(a, b);
     let far = max(a, b);
     let t_near = max(max(near.x, near.y), max(near.z, t_min));
     let t_far = min(min(far.x, far.y), min(far.z, t_max));
-    return t_near * BOX_SLACK <= t_far;
+    return t_near * BOX_ENTRY_SCALE <= t_far;
 }
 
 // For each corner the greater of the other two corners' values: those of the edge across.
@@ -101,7 +101,7 @@ fn shear_ray(origin: vec3<f32>, direction: vec3<f32>, extent: f32) -> ShearRay {
     return ShearRay(origin, direction, x_row * scale, y_row * scale, t_row, scale, depth * scale);
 }
 
-fn cross_triangle(ray: ShearRay, triangle: Triangle) -> Crossing {
+fn intersect_triangle(ray: ShearRay, triangle: Triangle) -> TriangleHit {
     let a = triangle.v0 - ray.origin;
     let b = triangle.v1 - ray.origin;
     let c = triangle.v2 - ray.origin;
@@ -109,7 +109,7 @@ fn cross_triangle(ray: ShearRay, triangle: Triangle) -> Crossing {
     let y = vec3<f32>(dot3(ray.y_row, a), dot3(ray.y_row, b), dot3(ray.y_row, c));
     let t = vec3<f32>(dot3(ray.t_row, a), dot3(ray.t_row, b), dot3(ray.t_row, c));
 
-    let depth = max(-min_component(t), max_component(t)) * ray.depth_scale;
+    let depth = max(-min_component(t), max_component(t)) * ray.t_to_sheared;
 
     // 1. Beside the triangle by more than rounding can explain?
     let x_least = min_component(x);
@@ -121,7 +121,7 @@ fn cross_triangle(ray: ShearRay, triangle: Triangle) -> Crossing {
     let x_tolerance = CORNER_TOLERANCE * (depth + x_extent);
     let y_tolerance = CORNER_TOLERANCE * (depth + y_extent);
     if x_least > x_tolerance || x_greatest < -x_tolerance || y_least > y_tolerance || y_greatest < -y_tolerance {
-        return Crossing();
+        return TriangleHit();
     }
 
     // 2. Outside of an edge by more than that? Edge functions are twice the areas that the ray cuts the triangle into.
@@ -130,16 +130,16 @@ fn cross_triangle(ray: ShearRay, triangle: Triangle) -> Crossing {
     weights = select(weights, -weights, back);
     let tolerance = EDGE_TOLERANCE * (depth * (x_extent + y_extent) + 4.0 * (x_extent * y_extent));
     if min_component(weights) < -tolerance {
-        return Crossing();
+        return TriangleHit();
     }
     // Rarely needed: an edge with both corners near the ray is known better than that.
     if min_component(weights) < 0.0 {
         let edge_x = greater_of_others(abs(x));
         let edge_y = greater_of_others(abs(y));
-        let edge_z = greater_of_others(abs(t)) * ray.depth_scale;
+        let edge_z = greater_of_others(abs(t)) * ray.t_to_sheared;
         let tolerances = EDGE_TOLERANCE * (edge_z * (edge_x + edge_y) + 4.0 * (edge_x * edge_y));
         if min_component(weights + tolerances) < 0.0 {
-            return Crossing();
+            return TriangleHit();
         }
     }
 
@@ -147,17 +147,17 @@ fn cross_triangle(ray: ShearRay, triangle: Triangle) -> Crossing {
     weights = max(weights, vec3<f32>(0.0));
     let area = (weights.x + weights.y) + weights.z;
     if area < F32_MIN_NORMAL {
-        return Crossing();
+        return TriangleHit();
     }
     weights = weights * (1.0 / area);
-    let t_plane = plane_distance(ray, triangle, t, weights);
+    let t_plane = plane_t(ray, triangle, t, weights);
     let t_hit = min(max(t_plane, min_component(t)), max_component(t));
-    return Crossing(t_hit, weights.y, weights.z, back, true);
+    return TriangleHit(t_hit, weights.y, weights.z, back, true);
 }
 
 // How far it is to the triangle's plane; to the corner with the greatest weight, if the ray lies in the plane. `t` is that of the
 // corners.
-fn plane_distance(ray: ShearRay, triangle: Triangle, t: vec3<f32>, weights: vec3<f32>) -> f32 {
+fn plane_t(ray: ShearRay, triangle: Triangle, t: vec3<f32>, weights: vec3<f32>) -> f32 {
     let normal = cross3((triangle.v1 - triangle.v0) * ray.scale, (triangle.v2 - triangle.v0) * ray.scale);
     var corner = triangle.v2 - ray.origin;
     var corner_t = t.z;
@@ -171,7 +171,7 @@ fn plane_distance(ray: ShearRay, triangle: Triangle, t: vec3<f32>, weights: vec3
     let height = dot3(normal, corner);
     let slope = dot3(normal, ray.direction);
     // The quotient would not be a number.
-    if abs(slope) * LARGE <= abs(height) / LARGE {
+    if abs(slope) * SQRT_MAX_QUOTIENT <= abs(height) / SQRT_MAX_QUOTIENT {
         return corner_t;
     }
     return height / slope;

@@ -1,93 +1,93 @@
 // Both levels along escape indices, in one fixed order, without a stack. Twin of src/trace/kernel/rope.rs: see there.
 
 // Where a ray is on its way through the two levels.
-struct Traversal {
+struct TraversalState {
     // The ray in world space, and in the space of the level that it is in.
-    world: SlabRay,
-    level: SlabRay,
+    world_ray: SlabRay,
+    level_ray: SlabRay,
     // The ray in the space of the instance that it is in, if any.
-    shear: ShearRay,
+    local_shear: ShearRay,
     direction: vec3<f32>,
     t_min: f32,
     ray_mask: u32,
     // Next node of the level, relative to its first, or NONE at its end.
-    index: u32,
+    node_index: u32,
     // NONE in the top level.
     instance: u32,
     // Where to go on in the top level after the instance.
-    resume: u32,
+    tlas_resume_index: u32,
     first_node: u32,
     first_triangle: u32,
     flags: u32,
 }
 
 // Order is one and the same, whatever is wished.
-fn traversal(ray: Ray, ray_mask: u32, near_first: bool) -> Traversal {
-    var t: Traversal;
-    t.world = slab_ray(ray.origin, ray.direction);
-    t.level = t.world;
-    t.direction = ray.direction;
-    t.t_min = ray.t_min;
-    t.ray_mask = ray_mask;
+fn begin_traversal(ray: RayRecord, ray_mask: u32, near_first: bool) -> TraversalState {
+    var state: TraversalState;
+    state.world_ray = slab_ray(ray.origin, ray.direction);
+    state.level_ray = state.world_ray;
+    state.direction = ray.direction;
+    state.t_min = ray.t_min;
+    state.ray_mask = ray_mask;
     // A hierarchy of nothing is absent or zero, and no escape index leads back to node 0.
-    t.index = select(0u, NONE, tlas_nodes[0].escape_index == 0u);
-    t.instance = NONE;
-    t.resume = NONE;
-    return t;
+    state.node_index = select(0u, NONE, tlas_nodes[0].escape_index == 0u);
+    state.instance = NONE;
+    state.tlas_resume_index = NONE;
+    return state;
 }
 
 // Goes on to the next leaf of triangles whose box the ray meets up to `t_max`; 0 if there is none.
-fn next_leaf(t: ptr<function, Traversal>, t_max: f32) -> u32 {
+fn next_leaf(state: ptr<function, TraversalState>, t_max: f32) -> u32 {
     loop {
-        if (*t).index == NONE {
-            if (*t).instance == NONE {
+        if (*state).node_index == NONE {
+            if (*state).instance == NONE {
                 return 0u;
             }
-            leave_instance(t);
+            leave_instance(state);
             continue;
         }
-        let in_instance = (*t).instance != NONE;
+        let in_instance = (*state).instance != NONE;
         var node: Node;
         if in_instance {
-            node = blas_node_at((*t).first_node + (*t).index);
+            node = blas_node_at((*state).first_node + (*state).node_index);
         } else {
-            node = tlas_nodes[(*t).index];
+            node = tlas_nodes[(*state).node_index];
         }
-        if !meets_box((*t).level, (*t).t_min, t_max, node.min, node.max) {
-            (*t).index = node.escape_index;
+        if !intersects_box((*state).level_ray, (*state).t_min, t_max, node.min, node.max) {
+            (*state).node_index = node.escape_index;
         } else if node.primitives == 0u {
-            (*t).index += 1u;
+            (*state).node_index += 1u;
         } else {
-            (*t).index = node.escape_index;
+            (*state).node_index = node.escape_index;
             if in_instance {
                 return node.primitives;
             }
-            enter_instance(t, leaf_first(node.primitives));
+            enter_instance(state, first_primitive(node.primitives));
         }
     }
     return 0u;
 }
 
-fn enter_instance(t: ptr<function, Traversal>, index: u32) {
-    if (instances[index].mask & (*t).ray_mask) == 0u {
+fn enter_instance(state: ptr<function, TraversalState>, index: u32) {
+    if (instances[index].mask & (*state).ray_mask) == 0u {
         return;
     }
-    let origin = transform_point(instances[index].local_from_world, (*t).world.origin);
-    let direction = transform_vector(instances[index].local_from_world, (*t).direction);
-    (*t).first_node = instances[index].first_node;
-    (*t).first_triangle = instances[index].first_triangle;
-    (*t).flags = instances[index].flags;
-    (*t).resume = (*t).index;
-    (*t).instance = index;
-    (*t).index = 0u;
-    (*t).level = slab_ray(origin, direction);
-    let root = blas_node_at((*t).first_node);
+    let origin = transform_point(instances[index].local_from_world, (*state).world_ray.origin);
+    let direction = transform_vector(instances[index].local_from_world, (*state).direction);
+    (*state).first_node = instances[index].first_node;
+    (*state).first_triangle = instances[index].first_triangle;
+    (*state).flags = instances[index].flags;
+    (*state).tlas_resume_index = (*state).node_index;
+    (*state).instance = index;
+    (*state).node_index = 0u;
+    (*state).level_ray = slab_ray(origin, direction);
+    let root = blas_node_at((*state).first_node);
     let extent = max_component(max(max(abs(root.min), abs(root.max)), abs(origin)));
-    (*t).shear = shear_ray(origin, direction, extent);
+    (*state).local_shear = shear_ray(origin, direction, extent);
 }
 
-fn leave_instance(t: ptr<function, Traversal>) {
-    (*t).level = (*t).world;
-    (*t).index = (*t).resume;
-    (*t).instance = NONE;
+fn leave_instance(state: ptr<function, TraversalState>) {
+    (*state).level_ray = (*state).world_ray;
+    (*state).node_index = (*state).tlas_resume_index;
+    (*state).instance = NONE;
 }

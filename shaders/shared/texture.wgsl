@@ -1,8 +1,8 @@
 // Textures: texels in one array (the paper's Tex), read as glTF samplers say. Twin of src/trace/kernel/texture.rs.
 
 // The curve of sRGB: a straight part, 1 / 12.92 steep, and a power of (c + 0.055) / 1.055. See linear_from_srgb.
-const SRGB_STRAIGHT_END: f32 = 0.04045;
-const SRGB_STRAIGHT_SLOPE: f32 = 0.07739938; // 1 / 12.92
+const SRGB_LINEAR_END: f32 = 0.04045;
+const SRGB_LINEAR_SLOPE: f32 = 0.07739938; // 1 / 12.92
 const SRGB_SCALE: f32 = 0.9478673; // 1 / 1.055
 const SRGB_OFFSET: f32 = 0.0521327; // 0.055 / 1.055
 // Of the powers of s.
@@ -92,8 +92,8 @@ fn wrap(i: i32, size: i32, mirror_flag: u32, clamp_flag: u32) -> i32 {
 // The sRGB decoding of IEC 61966-2-1, ((c + 0.055) / 1.055)^2.4, to a relative error of 2e-5 (1/400 of the step between two
 // 8-bit values): x^2.4 = x^2 s s^-0.2 with s = sqrt(x), and a Chebyshev fit of s^-0.2 that is 1 at 1.
 fn linear_from_srgb(c: f32) -> f32 {
-    if c <= SRGB_STRAIGHT_END {
-        return c * SRGB_STRAIGHT_SLOPE;
+    if c <= SRGB_LINEAR_END {
+        return c * SRGB_LINEAR_SLOPE;
     }
     let x = c * SRGB_SCALE + SRGB_OFFSET;
     let s = sqrt(x);

@@ -27,7 +27,7 @@ struct Triangle {
     _pad1: u32,
 }
 
-struct Instance {
+struct InstanceRecord {
     local_from_world: array<vec4<f32>, 3>,
     world_from_local: array<vec4<f32>, 3>,
     first_node: u32,
@@ -36,16 +36,16 @@ struct Instance {
     material: u32,
     mask: u32,
     flags: u32,
-    node: vec2<u32>,
+    node_key: vec2<u32>,
 }
 
 const INSTANCE_CULL_BACK: u32 = 1u;
 const INSTANCE_ALPHA_MASK: u32 = 2u;
 const INSTANCE_TRANSLUCENT: u32 = 4u;
 const INSTANCE_THIN: u32 = 8u;
-const INSTANCE_REPEATS: u32 = 16u;
+const INSTANCE_HAS_DUPLICATES: u32 = 16u;
 
-struct Streams {
+struct GeometryRecord {
     first_index: u32,
     first_normal: u32,
     first_tex_coord_0: u32,
@@ -55,7 +55,7 @@ struct Streams {
     _pad: array<u32, 2>,
 }
 
-struct Material {
+struct MaterialRecord {
     base_color: vec4<f32>,
     emissive: vec3<f32>,
     metallic: f32,
@@ -94,7 +94,7 @@ const TEXTURE_NEAREST: u32 = 16u;
 const TEXTURE_SRGB: u32 = 32u;
 const TEXTURE_TEX_COORD_1: u32 = 64u;
 
-struct Light {
+struct LightRecord {
     position: vec3<f32>,
     kind: u32,
     direction: vec3<f32>,
@@ -130,21 +130,21 @@ struct FrameParams {
     _pad: u32,
 }
 
-struct Ray {
+struct RayRecord {
     origin: vec3<f32>,
     t_min: f32,
     direction: vec3<f32>,
     t_max: f32,
 }
 
-struct Hit {
+struct HitRecord {
     t: f32,
     u: f32,
     v: f32,
     instance: u32,
     primitive: u32,
     triangle: u32,
-    back: u32,
+    back_face: u32,
     _pad: u32,
 }
 
@@ -156,14 +156,14 @@ struct RayBatch {
 }
 
 @group(0) @binding(0) var<storage, read> tlas_nodes: array<Node>;
-@group(0) @binding(1) var<storage, read> instances: array<Instance>;
+@group(0) @binding(1) var<storage, read> instances: array<InstanceRecord>;
 // Binding 2 is blas_nodes or wide_nodes, binding 3 triangles: declared with the functions that read them.
-@group(0) @binding(4) var<storage, read> geometries: array<Streams>;
+@group(0) @binding(4) var<storage, read> geometries: array<GeometryRecord>;
 @group(0) @binding(5) var<storage, read> indices: array<u32>;
 @group(0) @binding(6) var<storage, read> normals: array<f32>;
 @group(0) @binding(7) var<storage, read> tex_coords: array<vec2<f32>>;
 @group(0) @binding(8) var<storage, read> colors: array<vec2<u32>>;
-@group(0) @binding(9) var<storage, read> materials: array<Material>;
+@group(0) @binding(9) var<storage, read> materials: array<MaterialRecord>;
 @group(0) @binding(10) var<storage, read> texture_infos: array<TextureInfo>;
 @group(0) @binding(11) var<storage, read> texels: array<u32>;
-@group(0) @binding(12) var<storage, read> lights: array<Light>;
+@group(0) @binding(12) var<storage, read> lights: array<LightRecord>;

@@ -25,14 +25,14 @@ struct Pixel {
 
 struct PendingRay {
     origin: vec3<f32>,
-    depth: u32,
+    bounces: u32,
     direction: vec3<f32>,
     layers: u32,
     // The part of what it sees that reaches the camera.
     throughput: vec3<f32>,
 }
 
-struct Paths {
+struct RayTree {
     color: vec3<f32>,
     pending_count: u32,
     pending: array<PendingRay, MAX_PENDING>,
@@ -41,13 +41,13 @@ struct Paths {
 fn render_pixel(x: u32, y: u32) -> Pixel {
     var pixel = Pixel(vec4<f32>(0.0), vec3<f32>(0.0), F32_MAX, vec4<u32>(NONE, 1u, NONE, NONE));
     let primary = camera_ray(x, y);
-    var paths: Paths;
+    var paths: RayTree;
     paths.pending[0] = PendingRay(primary.origin, 0u, primary.direction, 0u, vec3<f32>(1.0));
     paths.pending_count = 1u;
     for (var traced = 0u; traced < MAX_RAYS && paths.pending_count > 0u; traced += 1u) {
         paths.pending_count -= 1u;
         let ray = paths.pending[paths.pending_count];
-        let hit = closest_hit(Ray(ray.origin, 0.0, ray.direction, F32_MAX), params.ray_mask);
+        let hit = closest_hit(RayRecord(ray.origin, 0.0, ray.direction, F32_MAX), params.ray_mask);
         if hit.instance == NONE {
             paths.color += ray.throughput * sky_radiance(ray.direction);
         } else {
@@ -55,7 +55,7 @@ fn render_pixel(x: u32, y: u32) -> Pixel {
             if traced == 0u {
                 pixel.normal = surface.normal;
                 pixel.depth = hit.t;
-                pixel.ids = vec4<u32>(instances[hit.instance].node, hit.primitive, hit.instance);
+                pixel.ids = vec4<u32>(instances[hit.instance].node_key, hit.primitive, hit.instance);
             }
             shade(&paths, ray, surface);
         }
@@ -70,13 +70,13 @@ fn render_pixel(x: u32, y: u32) -> Pixel {
 
 // Adds what the surface sends back along the ray, and the rays that must be traced to know the rest. What lies behind a
 // blended surface comes last, so that nothing of this surface waits while it is traced: see MAX_PENDING.
-fn shade(paths: ptr<function, Paths>, ray: PendingRay, surface: Surface) {
+fn shade(paths: ptr<function, RayTree>, ray: PendingRay, surface: Surface) {
     // 1. Alpha divides the light between what lies behind and the surface.
     var throughput = ray.throughput;
     if NEEDS_BLEND && (surface.flags & MATERIAL_BLEND) != 0u {
         let alpha = surface.base_color.w;
-        let start = leave(surface, ray.direction);
-        follow(paths, PendingRay(start, ray.depth, ray.direction, ray.layers + 1u, throughput * (1.0 - alpha)));
+        let start = offset_ray_origin(surface, ray.direction);
+        push_ray(paths, PendingRay(start, ray.bounces, ray.direction, ray.layers + 1u, throughput * (1.0 - alpha)));
         throughput *= alpha;
     }
     if (surface.flags & MATERIAL_UNLIT) != 0u {
@@ -87,13 +87,13 @@ fn shade(paths: ptr<function, Paths>, ray: PendingRay, surface: Surface) {
     // 2. Light from the surface itself, from lights, and from the sky.
     let to_viewer = -ray.direction;
     let cosine = dot3(surface.normal, to_viewer);
-    let eta = eta_at(surface);
-    let shares = divide_light(surface, cosine, eta);
-    let mirrored = raise(surface.normal * (2.0 * cosine) - to_viewer, surface.geometric_normal);
-    let sharp = sharpness(surface.roughness);
-    var radiance = surface.emissive + shares.matt * sky_ambient(surface.normal);
+    let eta = relative_ior(surface);
+    let shares = lobe_weights(surface, cosine, eta);
+    let mirrored = clamp_cosine(surface.normal * (2.0 * cosine) - to_viewer, surface.geometric_normal);
+    let sharp = traced_reflection_share(surface.roughness);
+    var radiance = surface.emissive + shares.diffuse * sky_irradiance_over_pi(surface.normal);
     if sharp < 1.0 {
-        radiance += shares.mirrored * (sky_blurred(mirrored, surface.roughness) * (1.0 - sharp));
+        radiance += shares.specular_reflection * (sky_blurred(mirrored, surface.roughness) * (1.0 - sharp));
     }
     if NEEDS_LIGHTS {
         radiance += direct_light(surface, to_viewer);
@@ -103,17 +103,17 @@ fn shade(paths: ptr<function, Paths>, ray: PendingRay, surface: Surface) {
     // 3. Light through the surface, and light mirrored by it.
     if NEEDS_REFRACTION && surface.transmission > 0.0 {
         let direction = refracted_direction(surface, ray.direction, cosine, eta);
-        follow(paths, PendingRay(leave(surface, direction), ray.depth + 1u, direction, 0u, throughput * shares.refracted));
+        push_ray(paths, PendingRay(offset_ray_origin(surface, direction), ray.bounces + 1u, direction, 0u, throughput * shares.specular_transmission));
     }
     if NEEDS_REFLECTION && sharp > 0.0 {
-        let start = leave(surface, mirrored);
-        follow(paths, PendingRay(start, ray.depth + 1u, mirrored, 0u, throughput * (shares.mirrored * sharp)));
+        let start = offset_ray_origin(surface, mirrored);
+        push_ray(paths, PendingRay(start, ray.bounces + 1u, mirrored, 0u, throughput * (shares.specular_reflection * sharp)));
     }
 }
 
 // Lets a ray wait to be traced; one that is too deep or carries too little sees the sky at once.
-fn follow(paths: ptr<function, Paths>, ray: PendingRay) {
-    let is_deep = ray.depth > min(params.max_depth, MAX_DEPTH) || ray.layers > MAX_LAYERS;
+fn push_ray(paths: ptr<function, RayTree>, ray: PendingRay) {
+    let is_deep = ray.bounces > min(params.max_depth, MAX_DEPTH) || ray.layers > MAX_LAYERS;
     let count = (*paths).pending_count;
     if is_deep || max_component(ray.throughput) < MIN_THROUGHPUT || count == MAX_PENDING {
         (*paths).color += ray.throughput * sky_radiance(ray.direction);
@@ -124,8 +124,8 @@ fn follow(paths: ptr<function, Paths>, ray: PendingRay) {
 }
 
 // Index of refraction of the viewer's side over that of the other, 0 where that is infinite.
-fn eta_at(surface: Surface) -> f32 {
-    if surface.inside || surface.ior <= 0.0 {
+fn relative_ior(surface: Surface) -> f32 {
+    if surface.is_inside || surface.ior <= 0.0 {
         return surface.ior;
     }
     return 1.0 / surface.ior;
@@ -137,5 +137,5 @@ fn refracted_direction(surface: Surface, direction: vec3<f32>, cosine: f32, eta:
         return direction;
     }
     let bent = direction * eta + surface.normal * (eta * cosine - refracted_cosine(cosine, eta));
-    return raise(unit_or(bent, direction), -surface.geometric_normal);
+    return clamp_cosine(normalize_or(bent, direction), -surface.geometric_normal);
 }

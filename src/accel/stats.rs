@@ -7,7 +7,7 @@ use crate::device::layout::Node;
 
 /// Size and quality of a hierarchy.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct Stats {
+pub struct BvhStats {
     /// Inner nodes and leaves.
     pub node_count: usize,
     /// Leaves.
@@ -17,7 +17,7 @@ pub struct Stats {
     /// How many there are more than different ones.
     pub duplicate_count: usize,
     /// Primitives in the fullest leaf.
-    pub largest_leaf: u32,
+    pub max_leaf_size: u32,
     /// Nodes from the root to the deepest leaf, both included.
     pub depth: usize,
     /// Expected cost of a ray that meets the root's box and hits nothing, in node fetches: each node is fetched as often as
@@ -27,7 +27,7 @@ pub struct Stats {
     pub bytes: usize,
 }
 
-impl Stats {
+impl BvhStats {
     /// Measures nodes; `bytes` and `duplicate_count` remain 0.
     pub(super) fn of(nodes: &[Node], primitive_cost: f32) -> Self {
         let mut stats = Self { node_count: nodes.len(), ..Self::default() };
@@ -41,13 +41,13 @@ impl Stats {
             }
             stats.sah_cost += ancestors.last().map_or(1.0, |&(_, area)| area);
             let area = half_area(node) / root_area;
-            let count = node.primitives.count();
+            let count = node.primitives.primitive_count();
             if count == 0 {
                 ancestors.push((node.escape_index, area));
             } else {
                 stats.leaf_count += 1;
                 stats.primitive_count += count as usize;
-                stats.largest_leaf = stats.largest_leaf.max(count);
+                stats.max_leaf_size = stats.max_leaf_size.max(count);
                 stats.depth = stats.depth.max(ancestors.len() + 1);
                 stats.sah_cost += area * f64::from(count) * f64::from(primitive_cost);
             }
@@ -68,13 +68,13 @@ pub(super) fn half_area(node: &Node) -> f64 {
     let [min, max] = bytemuck::cast::<Node, [Vec4; 2]>(*node).map(|corner| corner.with_w(0.0));
     let side = max - min;
     let area = side.dot(side.yzxw());
-    if area.is_normal() { f64::from(area) } else { extreme_half_area(node) }
+    if area.is_normal() { f64::from(area) } else { half_area_in_f64(node) }
 }
 
 /// The same where f32 overflows or underflows.
 #[cold]
-fn extreme_half_area(node: &Node) -> f64 {
-    if node.is_unused() {
+fn half_area_in_f64(node: &Node) -> f64 {
+    if node.is_empty() {
         return 0.0;
     }
     let side = Vec3::from_array(node.max).as_dvec3() - Vec3::from_array(node.min).as_dvec3();

@@ -18,62 +18,62 @@ use crate::math::{Aabb, Bounds};
 ///
 /// Memory: at most 7 kB, 2 kB for 8 cells.
 #[derive(Clone, Debug)]
-pub struct Support {
+pub struct SupportFunction {
     bounds: Bounds,
-    shape: Shape,
+    shape: SupportSamples,
 }
 
-impl Default for Support {
+impl Default for SupportFunction {
     /// Of nothing.
     fn default() -> Self {
-        Self { bounds: Bounds::EMPTY, shape: Shape::Corners(Vec::new()) }
+        Self { bounds: Bounds::EMPTY, shape: SupportSamples::Corners(Vec::new()) }
     }
 }
 
 #[derive(Clone, Debug)]
-enum Shape {
+enum SupportSamples {
     /// All corners.
     Corners(Vec<Vec3>),
-    Grid(Grid),
+    Grid(DirectionGrid),
 }
 
 /// Geometries with so many different corners or fewer keep them.
-const MAX_CORNERS: usize = 64;
+const MAX_EXACT_VERTICES: usize = 64;
 
 /// Geometries with so many triangles get the finer grid: its cost is small beside that of their hierarchy.
-const FINE_MINIMUM: usize = 1 << 14;
+const FINE_GRID_TRIANGLES: usize = 1 << 14;
 
 /// What has just been refitted gets a grid with so many cells along an edge.
-const COARSE_CELLS: usize = 2;
+const REFIT_GRID_CELLS: usize = 2;
 
 /// How far a geometry reaches from the centre of its box, in units of half the box's diagonal.
 #[derive(Clone, Debug)]
-struct Grid {
+struct DirectionGrid {
     /// Along an edge of the cube; even, so that the axes are vectors of the grid.
     cells: usize,
     /// For each vector, see [`index`](Self::index).
-    reaches: Box<[f32]>,
+    support_values: Box<[f32]>,
 }
 
-impl Support {
+impl SupportFunction {
     /// Of the triangles of a bottom-level structure. It costs a search through the hierarchy for each direction, each starting
     /// with what the one before has found: 1 ms for the Stanford dragon.
     pub fn new(blas: &Blas) -> Self {
-        let cells = if blas.triangles.len() < FINE_MINIMUM { 8 } else { 16 };
+        let cells = if blas.triangles.len() < FINE_GRID_TRIANGLES { 8 } else { 16 };
         Self::with_cells(&blas.nodes, &blas.triangles, blas.bounds, cells)
     }
 
     /// The same of a structure that was just refitted, in little time beside that of the refit: with 2 by 2 cells a face, boxes are
     /// larger (of a sphere, a fifth in area).
     pub(crate) fn coarse(nodes: &[Node], triangles: &[Triangle], bounds: Aabb) -> Self {
-        Self::with_cells(nodes, triangles, bounds, COARSE_CELLS)
+        Self::with_cells(nodes, triangles, bounds, REFIT_GRID_CELLS)
     }
 
     fn with_cells(nodes: &[Node], triangles: &[Triangle], bounds: Aabb, cells: usize) -> Self {
         let bounds = Bounds::from(bounds);
-        let shape = match few_corners(triangles) {
-            Some(corners) => Shape::Corners(corners),
-            None => Shape::Grid(Grid::new(nodes, triangles, &bounds, cells)),
+        let shape = match distinct_vertices(triangles) {
+            Some(corners) => SupportSamples::Corners(corners),
+            None => SupportSamples::Grid(DirectionGrid::new(nodes, triangles, &bounds, cells)),
         };
         Self { bounds, shape }
     }
@@ -82,18 +82,18 @@ impl Support {
     /// The result is rounded: by some ulp of the coordinates, in f64.
     pub fn world_bounds(&self, world_from_local: &DAffine3) -> Bounds {
         match &self.shape {
-            Shape::Corners(corners) => corners.iter().fold(Bounds::EMPTY, |bounds, corner| {
+            SupportSamples::Corners(corners) => corners.iter().fold(Bounds::EMPTY, |bounds, corner| {
                 let corner = world_from_local.transform_point3(corner.as_dvec3());
                 bounds.union(Bounds { min: corner, max: corner })
             }),
-            Shape::Grid(grid) => {
+            SupportSamples::Grid(grid) => {
                 let half = self.bounds.max * 0.5 - self.bounds.min * 0.5;
                 let unit = half.length();
                 let rows = world_from_local.matrix3.transpose();
                 let center = world_from_local.transform_point3(self.bounds.center());
                 let reach = |direction: DVec3| {
                     let of_box = direction.abs().dot(half);
-                    (grid.reach(direction) * unit).min(of_box)
+                    (grid.support_value(direction) * unit).min(of_box)
                 };
                 let upper = DVec3::new(reach(rows.x_axis), reach(rows.y_axis), reach(rows.z_axis));
                 let lower = DVec3::new(reach(-rows.x_axis), reach(-rows.y_axis), reach(-rows.z_axis));
@@ -104,20 +104,20 @@ impl Support {
 }
 
 /// The different corners of all triangles, if they are few.
-fn few_corners(triangles: &[Triangle]) -> Option<Vec<Vec3>> {
+fn distinct_vertices(triangles: &[Triangle]) -> Option<Vec<Vec3>> {
     // No closed surface has more triangles for its corners; others may keep the grid.
-    if triangles.len() > 2 * MAX_CORNERS {
+    if triangles.len() > 2 * MAX_EXACT_VERTICES {
         return None;
     }
     let mut corners: Vec<[f32; 3]> = triangles.iter().flat_map(|t| [t.v0, t.v1, t.v2]).collect();
     corners.sort_unstable_by(|a, b| a.partial_cmp(b).unwrap_or(std::cmp::Ordering::Equal));
     corners.dedup();
-    (corners.len() <= MAX_CORNERS).then(|| corners.into_iter().map(Vec3::from).collect())
+    (corners.len() <= MAX_EXACT_VERTICES).then(|| corners.into_iter().map(Vec3::from).collect())
 }
 
-impl Grid {
+impl DirectionGrid {
     fn new(nodes: &[Node], triangles: &[Triangle], bounds: &Bounds, cells: usize) -> Self {
-        let mut grid = Self { cells, reaches: vec![0.0; 6 * (cells + 1) * (cells + 1)].into_boxed_slice() };
+        let mut grid = Self { cells, support_values: vec![0.0; 6 * (cells + 1) * (cells + 1)].into_boxed_slice() };
         let (center, unit) = (bounds.center(), bounds.radius());
         let mut farthest = center;
         for face in 0..6 {
@@ -125,10 +125,10 @@ impl Grid {
                 // There and back, so that one direction is near the next.
                 for step in 0..=cells {
                     let u = if v % 2 == 0 { step } else { cells - step };
-                    let direction = grid.vector(face, u, v);
-                    farthest = find_farthest(nodes, triangles, direction, farthest);
+                    let direction = grid.grid_direction(face, u, v);
+                    farthest = support_point(nodes, triangles, direction, farthest);
                     let reach = ((farthest - center) / unit).dot(direction);
-                    grid.reaches[grid.index(face, u, v)] = (reach as f32).next_up();
+                    grid.support_values[grid.index(face, u, v)] = (reach as f32).next_up();
                 }
             }
         }
@@ -136,7 +136,7 @@ impl Grid {
     }
 
     /// Faces 0 to 2 look along the positive axes, 3 to 5 along the negative ones.
-    fn vector(&self, face: usize, u: usize, v: usize) -> DVec3 {
+    fn grid_direction(&self, face: usize, u: usize, v: usize) -> DVec3 {
         let axis = face % 3;
         let coordinate = |point: usize| 2.0 * point as f64 / self.cells as f64 - 1.0;
         let mut vector = DVec3::ZERO;
@@ -151,7 +151,7 @@ impl Grid {
     }
 
     /// How far a geometry reaches along `direction`, or more.
-    fn reach(&self, direction: DVec3) -> f64 {
+    fn support_value(&self, direction: DVec3) -> f64 {
         // 1. The face of the cube that the direction goes through, and where.
         let length = direction.abs();
         let axis = if length.x >= length.y && length.x >= length.z { 0 } else { 1 + usize::from(length.z > length.y) };
@@ -166,7 +166,7 @@ impl Grid {
         let cell = |place: f64| (place as usize).min(self.cells - 1);
         let (i, j) = (cell(u), cell(v));
         let (s, t) = (u - i as f64, v - j as f64);
-        let at = |u: usize, v: usize| f64::from(self.reaches[self.index(face, u, v)]);
+        let at = |u: usize, v: usize| f64::from(self.support_values[self.index(face, u, v)]);
         let (a, b) = (at(i + 1, j), at(i, j + 1));
         let reach = if s + t <= 1.0 {
             at(i, j) * (1.0 - s - t) + a * s + b * t
@@ -178,7 +178,7 @@ impl Grid {
 }
 
 /// The corner farthest along `direction`, or `start` if none is farther.
-fn find_farthest(nodes: &[Node], triangles: &[Triangle], direction: DVec3, start: DVec3) -> DVec3 {
+fn support_point(nodes: &[Node], triangles: &[Triangle], direction: DVec3, start: DVec3) -> DVec3 {
     let (mut farthest, mut reach) = (start, start.dot(direction));
     let mut index = 0;
     while let Some(node) = nodes.get(index) {
@@ -189,8 +189,8 @@ fn find_farthest(nodes: &[Node], triangles: &[Triangle], direction: DVec3, start
             if node.primitives == PrimitiveRange::INNER {
                 continue;
             }
-            let first = node.primitives.first() as usize;
-            for triangle in &triangles[first..first + node.primitives.count() as usize] {
+            let first = node.primitives.first_primitive() as usize;
+            for triangle in &triangles[first..first + node.primitives.primitive_count() as usize] {
                 for corner in [triangle.v0, triangle.v1, triangle.v2] {
                     let corner = Vec3::from(corner).as_dvec3();
                     if corner.dot(direction) > reach {
@@ -211,7 +211,7 @@ mod tests {
     use glam::{DQuat, Vec3Swizzles};
 
     use super::*;
-    use crate::accel::BuildParams;
+    use crate::accel::BlasBuildParams;
     use crate::graph::Geometry;
 
     #[test]
@@ -222,8 +222,8 @@ mod tests {
         };
         let positions: Vec<Vec3> = (0..2000).map(point).collect();
         let geometry = Geometry::new(positions.clone(), (0..1998).map(|i| [i, i + 1, i + 2]).collect::<Vec<_>>());
-        let blas = Blas::build(&geometry, &BuildParams::default()).unwrap();
-        let support = Support::coarse(&blas.nodes, &blas.triangles, blas.bounds);
+        let blas = Blas::build(&geometry, &BlasBuildParams::default()).unwrap();
+        let support = SupportFunction::coarse(&blas.nodes, &blas.triangles, blas.bounds);
         let (mut area, mut exact_area) = (0.0, 0.0);
         for i in 0..100 {
             let axis = DVec3::new((f64::from(i)).sin(), (f64::from(i) * 2.0).cos(), 0.5).normalize();

@@ -8,7 +8,7 @@ use crate::math::Aabb;
 /// How a hierarchy is broken: a defect of the builder, never of its input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
-pub enum StructureError {
+pub enum BvhError {
     /// An escape index leads backward, out of the parent's subtree, or into the middle of one.
     #[error("the escape index {escape_index} of node {node} does not lead to the end of its subtree")]
     Escape {
@@ -53,10 +53,10 @@ pub enum StructureError {
 
 /// Checks escape order and containment. `leaf_bounds` gives the box of a leaf's primitives, or `None` for a range that must
 /// not be there; it is called in depth-first order.
-pub(super) fn check_nodes(
+pub(super) fn validate_nodes(
     nodes: &[Node],
     mut leaf_bounds: impl FnMut(PrimitiveRange) -> Option<Aabb>,
-) -> Result<(), StructureError> {
+) -> Result<(), BvhError> {
     // The inner nodes around the current one, each with the end of its subtree.
     let mut ancestors: Vec<(usize, Aabb)> = Vec::new();
     for (index, node) in nodes.iter().enumerate() {
@@ -67,11 +67,11 @@ pub(super) fn check_nodes(
         let bounds = bounds(node);
         let finite = bounds.min.is_finite() && bounds.max.is_finite();
         if !finite || !bounds.min.cmplt(bounds.max).all() {
-            return Err(StructureError::Box { node: index, content: "a point" });
+            return Err(BvhError::Box { node: index, content: "a point" });
         }
         // An unused node lies outside; what is in use below one sticks out of it.
-        if !node.is_unused() && ancestors.last().is_some_and(|(_, parent)| !parent.contains(&bounds)) {
-            return Err(StructureError::Box { node: index, content: "less than its parent" });
+        if !node.is_empty() && ancestors.last().is_some_and(|(_, parent)| !parent.contains(&bounds)) {
+            return Err(BvhError::Box { node: index, content: "less than its parent" });
         }
         if node.primitives == PrimitiveRange::INNER {
             if end > index + 1 {
@@ -79,10 +79,10 @@ pub(super) fn check_nodes(
             }
             continue;
         }
-        let (first, count) = (node.primitives.first(), node.primitives.count());
-        let content = leaf_bounds(node.primitives).ok_or(StructureError::Leaf { node: index, first, count })?;
+        let (first, count) = (node.primitives.first_primitive(), node.primitives.primitive_count());
+        let content = leaf_bounds(node.primitives).ok_or(BvhError::Leaf { node: index, first, count })?;
         if !has_margin(&bounds, &content) {
-            return Err(StructureError::Box { node: index, content: "its primitives with a margin" });
+            return Err(BvhError::Box { node: index, content: "its primitives with a margin" });
         }
     }
     Ok(())
@@ -98,11 +98,11 @@ fn has_margin(bounds: &Aabb, content: &Aabb) -> bool {
 
 /// The index after the node's subtree: one further for a leaf, at least three further (two children) for an inner node or one
 /// for an unused leaf that is not the last node, and not past the parent's end.
-fn subtree_end(nodes: &[Node], index: usize, parent_end: Option<usize>) -> Result<usize, StructureError> {
+fn subtree_end(nodes: &[Node], index: usize, parent_end: Option<usize>) -> Result<usize, BvhError> {
     let node = &nodes[index];
     let end = if node.escape_index == NONE { nodes.len() } else { node.escape_index as usize };
     let is_leaf = node.primitives != PrimitiveRange::INNER;
-    let is_unused_leaf = node.is_unused() && end == index + 1 && end < nodes.len();
+    let is_unused_leaf = node.is_empty() && end == index + 1 && end < nodes.len();
     let fits = if is_leaf { end == index + 1 } else { end >= index + 3 || is_unused_leaf };
     let is_marked = (node.escape_index == NONE) == (end == nodes.len());
     // The root, and only the root, spans everything.
@@ -114,7 +114,7 @@ fn subtree_end(nodes: &[Node], index: usize, parent_end: Option<usize>) -> Resul
     {
         Ok(end)
     } else {
-        Err(StructureError::Escape { node: index, escape_index: node.escape_index })
+        Err(BvhError::Escape { node: index, escape_index: node.escape_index })
     }
 }
 

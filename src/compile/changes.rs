@@ -1,18 +1,18 @@
 //! What changed since the last compile, from the log.
 
-use crate::graph::{Change, Core, GeometryKey, MaterialKey, NodeKey, Object, Scene};
+use crate::graph::{Change, Core, GeometryKey, MaterialKey, NodeKey, ObjectKey, Scene};
 
 /// What changed, sorted by what it takes to catch up.
 #[derive(Debug, Default)]
-pub(super) struct Dirty {
+pub(super) struct SceneChanges {
     /// The scene is new to the compiler.
-    pub(super) everything: bool,
+    pub(super) is_new_scene: bool,
     /// Something did, other than names and the like.
-    pub(super) any: bool,
+    pub(super) affects_image: bool,
     /// Nodes whose transform changed: where they are and all below them.
-    pub(super) moved: Vec<NodeKey>,
+    pub(super) moved_nodes: Vec<NodeKey>,
     /// Nodes that became something else: what they are and all below them.
-    pub(super) changed: Vec<NodeKey>,
+    pub(super) reclassified_nodes: Vec<NodeKey>,
     pub(super) geometries: Vec<GeometryKey>,
     pub(super) materials: Vec<MaterialKey>,
     /// Some texture has other texels.
@@ -21,44 +21,44 @@ pub(super) struct Dirty {
     pub(super) lights: bool,
 }
 
-impl Dirty {
+impl SceneChanges {
     /// Sorts changes. O(changes + users of changed cores).
-    pub(super) fn new(scene: &Scene, changes: Vec<(Object, Change)>) -> Self {
+    pub(super) fn new(scene: &Scene, changes: Vec<(ObjectKey, Change)>) -> Self {
         let mut dirty = Self::default();
         for (object, change) in changes {
             // A name is no part of the image; what comes and goes is seen by those that use it, nodes by the hierarchy.
-            dirty.any |= !Change::NAME.contains(change);
+            dirty.affects_image |= !Change::NAME.contains(change);
             if change.contains(Change::REMOVED)
-                || (change.contains(Change::ADDED) && !matches!(object, Object::Node(_)))
+                || (change.contains(Change::ADDED) && !matches!(object, ObjectKey::Node(_)))
             {
                 continue;
             }
             match object {
-                Object::Node(node) => dirty.node(scene, node, change),
-                Object::Core(key) => {
+                ObjectKey::Node(node) => dirty.add_node_change(scene, node, change),
+                ObjectKey::Core(key) => {
                     let users = || scene.users(key).into_iter().flatten();
-                    match scene.core_of(key) {
-                        _ if change.contains(Change::KIND) => dirty.changed.extend(users()),
-                        Ok(Core::Transform(_)) => dirty.moved.extend(users()),
+                    match scene.core_by_key(key) {
+                        _ if change.contains(Change::KIND) => dirty.reclassified_nodes.extend(users()),
+                        Ok(Core::Transform(_)) => dirty.moved_nodes.extend(users()),
                         Ok(Core::Light(_)) => dirty.lights = true,
                         Ok(Core::Group | Core::Camera(_)) | Err(_) => {}
-                        Ok(_) => dirty.changed.extend(users()),
+                        Ok(_) => dirty.reclassified_nodes.extend(users()),
                     }
                 }
-                Object::Geometry(key) => dirty.geometries.push(key),
-                Object::Material(key) => dirty.materials.push(key),
-                Object::Texture(_) => dirty.textures = true,
+                ObjectKey::Geometry(key) => dirty.geometries.push(key),
+                ObjectKey::Material(key) => dirty.materials.push(key),
+                ObjectKey::Texture(_) => dirty.textures = true,
             }
         }
         dirty
     }
 
-    fn node(&mut self, scene: &Scene, node: NodeKey, change: Change) {
+    fn add_node_change(&mut self, scene: &Scene, node: NodeKey, change: Change) {
         let own = Change::ADDED | Change::PARENT | Change::CORE | Change::MASK | Change::VISIBILITY;
         // The children of these are counted: each may be another child than it was.
         let counts = || matches!(scene.core(node), Ok(Core::Switch(_) | Core::Lod(_)));
         if change.intersects(own) || (change.contains(Change::CHILDREN) && counts()) {
-            self.changed.push(node);
+            self.reclassified_nodes.push(node);
         }
     }
 }

@@ -6,18 +6,18 @@ use std::time::Instant;
 
 use glam::DVec3;
 
-use super::changes::Dirty;
-use super::geometry_cache::GeometryCache;
-use super::instance_table::{InstanceSource, InstanceTable, Member, Sources};
+use super::changes::SceneChanges;
+use super::geometry_table::GeometryTable;
+use super::instance_table::{InstanceSource, InstanceTable, Member, RecordInputs};
 use super::material_table::MaterialTable;
 use super::pack;
 use super::report::CompileReport;
-use super::view_dependent::ViewDependent;
-use super::viewpoint::Observer;
+use super::view_dependent::ViewDependentState;
+use super::viewpoint::Viewpoint;
 use crate::Result;
 use crate::accel::TlasUpdate;
 use crate::device::{DeviceArrays, Needs};
-use crate::graph::{Changes, Core, Cursor, Hierarchy, Scene, SceneId};
+use crate::graph::{ChangeCursor, Changes, Core, Hierarchy, Scene, SceneId};
 use crate::math::{Aabb, Bounds};
 
 /// Turns one scene after another, or one scene edit by edit, into [`DeviceArrays`].
@@ -28,32 +28,32 @@ use crate::math::{Aabb, Bounds};
 #[derive(Debug)]
 pub struct Compiler {
     /// The scene that the arrays hold, and how much of its log they reflect.
-    cursor: Cursor,
+    cursor: ChangeCursor,
     /// How much of the hierarchy they reflect.
-    seen: Seen,
+    hierarchy_cursor: HierarchyCursor,
     arrays: DeviceArrays,
-    geometries: GeometryCache,
+    geometries: GeometryTable,
     materials: MaterialTable,
     instances: InstanceTable,
     /// Entries with a light core that are shown.
-    lights: BTreeSet<u32>,
-    view: ViewDependent,
+    light_entries: BTreeSet<u32>,
+    view: ViewDependentState,
     /// Who looked last, and at which scene.
-    observer: Option<(SceneId, Observer)>,
+    observer: Option<(SceneId, Viewpoint)>,
     /// Where the device's world has its origin, in the scene's world.
     origin: DVec3,
     /// The report of a compile that finds nothing changed.
-    unchanged: CompileReport,
+    report_if_unchanged: CompileReport,
     /// Compiles of this scene.
     compile_count: u64,
 }
 
 /// How much of a hierarchy has been read.
 #[derive(Clone, Copy, Debug, Default)]
-struct Seen {
+struct HierarchyCursor {
     generation: u64,
     entries: usize,
-    gaps: usize,
+    gap_count: usize,
 }
 
 impl Default for Compiler {
@@ -66,17 +66,17 @@ impl Compiler {
     /// A compiler that has seen no scene.
     pub fn new() -> Self {
         Self {
-            cursor: Cursor::default(),
-            seen: Seen::default(),
+            cursor: ChangeCursor::default(),
+            hierarchy_cursor: HierarchyCursor::default(),
             arrays: DeviceArrays::default(),
-            geometries: GeometryCache::new(),
+            geometries: GeometryTable::new(),
             materials: MaterialTable::new(),
             instances: InstanceTable::default(),
-            lights: BTreeSet::new(),
-            view: ViewDependent::default(),
+            light_entries: BTreeSet::new(),
+            view: ViewDependentState::default(),
             observer: None,
             origin: DVec3::ZERO,
-            unchanged: CompileReport::default(),
+            report_if_unchanged: CompileReport::default(),
             compile_count: 0,
         }
     }
@@ -90,7 +90,7 @@ impl Compiler {
     /// # Errors
     /// [`Error::Limit`](crate::Error::Limit) if an array would pass what its indices can address, or instances of instances
     /// are too many. The compiler then starts from nothing with its next scene.
-    pub fn compile(&mut self, scene: &mut Scene, observer: impl Into<Observer>) -> Result<CompileReport> {
+    pub fn compile(&mut self, scene: &mut Scene, observer: impl Into<Viewpoint>) -> Result<CompileReport> {
         let observer = observer.into();
         let result = self.try_compile(scene, &observer);
         match result {
@@ -104,7 +104,7 @@ impl Compiler {
     ///
     /// # Errors
     /// As [`compile`](Self::compile).
-    pub fn catch_up(&mut self, scene: &mut Scene) -> Result<CompileReport> {
+    pub fn compile_from_last_viewpoint(&mut self, scene: &mut Scene) -> Result<CompileReport> {
         let last = self.observer.filter(|(id, _)| *id == scene.id());
         let observer = match last {
             Some((_, observer)) => observer,
@@ -138,14 +138,14 @@ impl Compiler {
         Some(InstanceSource { path: hierarchy.path(entry as usize), geometry, material })
     }
 
-    fn try_compile(&mut self, scene: &mut Scene, observer: &Observer) -> Result<CompileReport> {
+    fn try_compile(&mut self, scene: &mut Scene, observer: &Viewpoint) -> Result<CompileReport> {
         let start = Instant::now();
-        let mut report = self.unchanged.clone();
+        let mut report = self.report_if_unchanged.clone();
         let dirty = self.read_changes(scene);
         self.compile_count += 1;
-        if dirty.everything {
+        if dirty.is_new_scene {
             self.origin = observer.eye;
-        } else if !dirty.any && self.view.is_current(observer) && !self.is_far(observer.eye) {
+        } else if !dirty.affects_image && self.view.is_current(observer) && !self.must_rebase(observer.eye) {
             report.update_time = start.elapsed();
             return Ok(report);
         }
@@ -159,62 +159,69 @@ impl Compiler {
         self.update_assets(scene, &dirty, &mut report)?;
         // 4. Their records, relative to the render origin; and once more where that follows the eye.
         shine |= dirty.lights;
-        self.place(scene, hierarchy, shine, &mut report)?;
-        if self.is_far(observer.eye) {
+        self.write_records(scene, hierarchy, shine, &mut report)?;
+        if self.must_rebase(observer.eye) {
             self.origin = observer.eye;
             self.instances.mark_all();
-            self.place(scene, hierarchy, true, &mut report)?;
+            self.write_records(scene, hierarchy, true, &mut report)?;
             report.rebased = true;
         }
 
-        self.count(&mut report);
-        self.unchanged = report.as_unchanged();
+        self.fill_totals(&mut report);
+        self.report_if_unchanged = report.as_unchanged();
         report.update_time = start.elapsed().saturating_sub(report.blas_time + report.tlas_time);
         Ok(report)
     }
 
     /// Reads the log. O(changes).
-    fn read_changes(&mut self, scene: &mut Scene) -> Dirty {
+    fn read_changes(&mut self, scene: &mut Scene) -> SceneChanges {
         match scene.changes_since(&mut self.cursor) {
             Changes::Everything => {
                 // Keys of different scenes may be equal: nothing of the old one may stay.
                 *self = Self { cursor: std::mem::take(&mut self.cursor), ..Self::new() };
-                Dirty { everything: true, ..Dirty::default() }
+                SceneChanges { is_new_scene: true, ..SceneChanges::default() }
             }
-            Changes::Since(changes) => Dirty::new(scene, changes),
+            Changes::Since(changes) => SceneChanges::new(scene, changes),
         }
     }
 
     /// Finds the members and lights among the entries that changed. Whether some light did, too.
-    fn update_entries(&mut self, scene: &Scene, hierarchy: &Hierarchy, dirty: &Dirty) -> Result<bool> {
+    fn update_entries(&mut self, scene: &Scene, hierarchy: &Hierarchy, dirty: &SceneChanges) -> Result<bool> {
         let entry_count = hierarchy.nodes().len();
-        let lights = self.lights.len();
-        if self.seen.generation != hierarchy.generation() {
-            self.seen = Seen { generation: hierarchy.generation(), entries: entry_count, gaps: 0 };
-            self.lights.clear();
+        let lights = self.light_entries.len();
+        if self.hierarchy_cursor.generation != hierarchy.generation() {
+            self.hierarchy_cursor =
+                HierarchyCursor { generation: hierarchy.generation(), entries: entry_count, gap_count: 0 };
+            self.light_entries.clear();
             self.view.clear();
             let mut members = Vec::new();
             for entry in 0..entry_count {
                 self.view.classify(scene, hierarchy, entry);
-                members.extend(self.member(scene, hierarchy, entry));
+                members.extend(self.classify_entry(scene, hierarchy, entry));
             }
-            self.instances.replace(members.into_iter(), entry_count, &mut self.arrays)?;
+            self.instances.replace_all_members(members.into_iter(), entry_count, &mut self.arrays)?;
             return Ok(true);
         }
 
-        for &gap in &hierarchy.gaps()[self.seen.gaps.min(hierarchy.gaps().len())..] {
-            self.view.forget(gap);
-            self.lights.remove(&gap);
-            if (gap as usize) < self.seen.entries {
-                self.instances.set(gap as usize, None, &mut self.arrays)?;
+        for &gap in
+            &hierarchy.removed_entries()[self.hierarchy_cursor.gap_count.min(hierarchy.removed_entries().len())..]
+        {
+            self.view.remove_entry(gap);
+            self.light_entries.remove(&gap);
+            if (gap as usize) < self.hierarchy_cursor.entries {
+                self.instances.set_member(gap as usize, None, &mut self.arrays)?;
             }
         }
         self.instances.set_entry_count(entry_count);
-        let new = self.seen.entries..entry_count;
-        let changed = dirty.changed.iter().flat_map(|&node| hierarchy.entries(node));
+        let new = self.hierarchy_cursor.entries..entry_count;
+        let changed = dirty.reclassified_nodes.iter().flat_map(|&node| hierarchy.entries(node));
         let changed = hierarchy.subtrees(changed);
-        self.seen = Seen { entries: entry_count, gaps: hierarchy.gaps().len(), ..self.seen };
-        let mut shine = self.lights.len() != lights;
+        self.hierarchy_cursor = HierarchyCursor {
+            entries: entry_count,
+            gap_count: hierarchy.removed_entries().len(),
+            ..self.hierarchy_cursor
+        };
+        let mut shine = self.light_entries.len() != lights;
         for range in changed.into_iter().chain([new]) {
             shine |= self.has_lights(&range);
             range.clone().for_each(|entry| self.view.classify(scene, hierarchy, entry));
@@ -222,7 +229,7 @@ impl Compiler {
             shine |= self.has_lights(&range);
         }
 
-        let moved = dirty.moved.iter().flat_map(|&node| hierarchy.entries(node));
+        let moved = dirty.moved_nodes.iter().flat_map(|&node| hierarchy.entries(node));
         for range in hierarchy.subtrees(moved) {
             shine |= self.has_lights(&range);
             range.for_each(|entry| self.instances.mark_entry(entry));
@@ -231,16 +238,16 @@ impl Compiler {
     }
 
     /// Chooses levels of detail and turns billboards. Whether that moved some light.
-    fn update_view(&mut self, scene: &Scene, hierarchy: &Hierarchy, observer: &Observer) -> Result<bool> {
+    fn update_view(&mut self, scene: &Scene, hierarchy: &Hierarchy, observer: &Viewpoint) -> Result<bool> {
         let mut shine = false;
-        let choice = self.view.choose(scene, hierarchy, observer)?;
-        for range in choice.shown {
+        let choice = self.view.choose_for(scene, hierarchy, observer)?;
+        for range in choice.visibility_ranges {
             shine |= self.has_lights(&range);
             self.settle(scene, hierarchy, range.clone())?;
             shine |= self.has_lights(&range);
         }
         for entry in choice.turned {
-            shine |= self.lights.contains(&entry);
+            shine |= self.light_entries.contains(&entry);
             self.instances.mark_entry(entry as usize);
         }
         Ok(shine)
@@ -249,21 +256,21 @@ impl Compiler {
     /// Makes the entries in a range members, lights, or neither.
     fn settle(&mut self, scene: &Scene, hierarchy: &Hierarchy, range: Range<usize>) -> Result<()> {
         for entry in range {
-            let member = self.member(scene, hierarchy, entry);
-            self.instances.set(entry, member, &mut self.arrays)?;
+            let member = self.classify_entry(scene, hierarchy, entry);
+            self.instances.set_member(entry, member, &mut self.arrays)?;
         }
         Ok(())
     }
 
     /// The member that an entry is, if it is one; a light is noted.
-    fn member(&mut self, scene: &Scene, hierarchy: &Hierarchy, entry: usize) -> Option<Member> {
+    fn classify_entry(&mut self, scene: &Scene, hierarchy: &Hierarchy, entry: usize) -> Option<Member> {
         let node = hierarchy.nodes()[entry];
-        let placed = &hierarchy.placed()[entry];
+        let placed = &hierarchy.resolved()[entry];
         // A gap has no core.
-        let core = scene.core(node).ok().filter(|_| placed.visible && self.view.shows(entry));
+        let core = scene.core(node).ok().filter(|_| placed.visible && self.view.is_shown(entry));
         match core {
-            Some(Core::Light(_)) => drop(self.lights.insert(entry as u32)),
-            _ => drop(self.lights.remove(&(entry as u32))),
+            Some(Core::Light(_)) => drop(self.light_entries.insert(entry as u32)),
+            _ => drop(self.light_entries.remove(&(entry as u32))),
         }
         match *core? {
             Core::Geometry { geometry, material } => {
@@ -275,22 +282,22 @@ impl Compiler {
     }
 
     fn has_lights(&self, range: &Range<usize>) -> bool {
-        self.lights.range(range.start as u32..range.end as u32).next().is_some()
+        self.light_entries.range(range.start as u32..range.end as u32).next().is_some()
     }
 
     /// Frees the geometries and materials that no member uses and makes those that one misses.
-    fn update_assets(&mut self, scene: &Scene, dirty: &Dirty, report: &mut CompileReport) -> Result<()> {
+    fn update_assets(&mut self, scene: &Scene, dirty: &SceneChanges, report: &mut CompileReport) -> Result<()> {
         if dirty.textures || !dirty.materials.is_empty() || self.instances.materials().changed() {
             let stored = self.materials.update(scene, self.instances.materials(), &mut self.arrays)?;
             self.instances.materials_mut().forget_changes();
-            self.instances.mark_users(&[], &stored);
+            self.instances.mark_users_stale(&[], &stored);
         }
         if !dirty.geometries.is_empty() || self.instances.geometries().changed() {
             let start = Instant::now();
             let used = self.instances.geometries();
             let update = self.geometries.update(scene, used, self.compile_count, &mut self.arrays)?;
             self.instances.geometries_mut().forget_changes();
-            self.instances.mark_users(&update.changed, &[]);
+            self.instances.mark_users_stale(&update.changed, &[]);
             (report.blas_built, report.blas_built_triangles) = (update.built.structures, update.built.triangles);
             (report.blas_refitted, report.blas_refitted_triangles) =
                 (update.refitted.structures, update.refitted.triangles);
@@ -302,15 +309,21 @@ impl Compiler {
     }
 
     /// Writes the records that are stale, the lights if some changed, and what that means for the top level.
-    fn place(&mut self, scene: &Scene, hierarchy: &Hierarchy, shine: bool, report: &mut CompileReport) -> Result<()> {
-        let sources = Sources {
+    fn write_records(
+        &mut self,
+        scene: &Scene,
+        hierarchy: &Hierarchy,
+        shine: bool,
+        report: &mut CompileReport,
+    ) -> Result<()> {
+        let sources = RecordInputs {
             hierarchy,
             view: &self.view,
             geometries: &self.geometries,
             materials: &self.materials,
             origin: self.origin,
         };
-        report.instances_written += self.instances.write(&sources, &mut self.arrays);
+        report.instances_written += self.instances.write_stale_records(&sources, &mut self.arrays);
         if shine {
             self.write_lights(scene, hierarchy)?;
         }
@@ -327,11 +340,11 @@ impl Compiler {
 
     /// O(lights).
     fn write_lights(&mut self, scene: &Scene, hierarchy: &Hierarchy) -> Result<()> {
-        let mut lights = Vec::with_capacity(self.lights.len());
-        for &entry in &self.lights {
+        let mut lights = Vec::with_capacity(self.light_entries.len());
+        for &entry in &self.light_entries {
             let entry = entry as usize;
             if let Core::Light(light) = scene.core(hierarchy.nodes()[entry])? {
-                lights.extend(pack::light(light, &self.view.world(hierarchy, entry), self.origin));
+                lights.extend(pack::light_record(light, &self.view.world_from_local(hierarchy, entry), self.origin));
             }
         }
         self.arrays.lights.replace(&lights);
@@ -344,7 +357,7 @@ impl Compiler {
     /// "Far" is relative: f32 resolves 2^-24 of the distance to the origin. Inside the scene the limit is 1/256 of its
     /// radius, so that positions are known to 2.3e-10 of that; outside it is 16 times the distance to the scene, 1e-6 of
     /// which is the most that a position is off: far less than a pixel.
-    fn is_far(&self, eye: DVec3) -> bool {
+    fn must_rebase(&self, eye: DVec3) -> bool {
         let relative = eye - self.origin;
         let bounds = self.scene_bounds();
         let to_scene = (bounds.min - relative).max(relative - bounds.max).max(DVec3::ZERO).length();
@@ -361,13 +374,13 @@ impl Compiler {
     }
 
     /// The totals of the report. O(materials).
-    fn count(&self, report: &mut CompileReport) {
+    fn fill_totals(&self, report: &mut CompileReport) {
         let totals = self.instances.totals();
         report.blas_count = self.geometries.len();
         report.instances = totals.instances;
-        report.singular_instances = totals.singular_instances;
-        report.triangles = self.geometries.triangle_count();
-        report.scene_triangles = totals.triangles;
+        report.unhittable_instances = totals.singular_instances;
+        report.unique_triangles = self.geometries.triangle_count();
+        report.instanced_triangles = totals.triangles;
         report.materials = self.materials.len();
         report.textures = self.materials.texture_count();
         report.lights = self.arrays.lights.len();

@@ -4,26 +4,26 @@ use std::sync::Arc;
 
 use serde::Serialize;
 
-use crate::graph::{Geometry, Quality, Structure};
+use crate::graph::{BlasKind, Geometry, Quality};
 
 /// How much dearer a refitted structure may get than it was when it was built, by its SAH cost, before it is built anew.
 /// `docs/BENCHMARKS.md` has what rays cost at other limits.
 pub(super) const MAX_DECAY: f64 = 1.25;
 
 /// Two changes with at most so many compiles from one to the next are in a row.
-const RECENT: u64 = 8;
+const RECENT_COMPILES: u64 = 8;
 
 /// A geometry that changed so many times in a row goes on doing so.
-const MANY: u32 = 3;
+const FREQUENT_CHANGES: u32 = 3;
 
 /// How often a geometry changes, counted in compiles.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct History {
+pub(super) struct ChangeHistory {
     changed_at: u64,
     changes_in_a_row: u32,
 }
 
-impl History {
+impl ChangeHistory {
     /// Of a geometry that is new at this compile.
     pub(super) fn new(now: u64) -> Self {
         Self { changed_at: now, changes_in_a_row: 0 }
@@ -31,21 +31,21 @@ impl History {
 
     /// The geometry changed again.
     pub(super) fn change(&mut self, now: u64) {
-        let is_recent = now - self.changed_at <= RECENT;
+        let is_recent = now - self.changed_at <= RECENT_COMPILES;
         self.changes_in_a_row = if is_recent { self.changes_in_a_row.saturating_add(1) } else { 1 };
         self.changed_at = now;
     }
 
     /// The structure to build for a geometry: the one that it asks for, else one that suits how often it changes.
-    pub(super) fn structure(&self, geometry: &Geometry) -> Structure {
-        let quality = if self.changes_in_a_row < MANY { Quality::default() } else { Quality::Fast };
-        geometry.structure.unwrap_or(Structure::Bvh(quality))
+    pub(super) fn structure(&self, geometry: &Geometry) -> BlasKind {
+        let quality = if self.changes_in_a_row < FREQUENT_CHANGES { Quality::default() } else { Quality::Low };
+        geometry.blas_kind.unwrap_or(BlasKind::Bvh(quality))
     }
 }
 
 /// What it takes to follow a geometry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Step {
+pub(super) enum BlasAction {
     /// The structure stays as it is.
     Keep,
     /// Its boxes follow the triangles.
@@ -57,52 +57,52 @@ pub(super) enum Step {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum BuildReason {
     New,
-    Triangles,
-    Decay,
-    Choice,
+    TrianglesChanged,
+    CostGrown,
+    StructureChanged,
 }
 
 /// What to do about a `structure` that was built for `old`, where there is `new` now.
-pub(super) fn step(structure: Structure, old: &Geometry, new: &Geometry) -> Step {
+pub(super) fn choose_action(structure: BlasKind, old: &Geometry, new: &Geometry) -> BlasAction {
     // At once where they are shared.
     if !Arc::ptr_eq(&old.indices, &new.indices) && old.indices != new.indices {
-        return Step::Build(BuildReason::Triangles);
+        return BlasAction::Build(BuildReason::TrianglesChanged);
     }
-    if new.structure.is_some_and(|chosen| chosen != structure) {
-        return Step::Build(BuildReason::Choice);
+    if new.blas_kind.is_some_and(|chosen| chosen != structure) {
+        return BlasAction::Build(BuildReason::StructureChanged);
     }
     // Bit by bit: the signs of zeros are told apart.
     let [old_bits, new_bits] = [old, new].map(|geometry| bytemuck::cast_slice::<_, u32>(&geometry.positions));
     if Arc::ptr_eq(&old.positions, &new.positions) || old_bits == new_bits {
-        return Step::Keep;
+        return BlasAction::Keep;
     }
     match structure {
-        Structure::Bvh(Quality::Fast | Quality::Balanced) => Step::Refit,
+        BlasKind::Bvh(Quality::Low | Quality::Medium) => BlasAction::Refit,
         // Their leaves hold parts of triangles: whole ones would make them worse than a new structure.
-        Structure::Bvh(Quality::Best) | Structure::KdTree => Step::Build(BuildReason::Choice),
+        BlasKind::Bvh(Quality::High) | BlasKind::KdTree => BlasAction::Build(BuildReason::StructureChanged),
     }
 }
 
 /// Why bottom-level structures were built: how many for each reason.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct BlasBuilds {
+pub struct BlasBuildReasons {
     /// Their geometry was not visible before.
     pub new: usize,
     /// Their geometry got other triangles, or some triangles got or lost two equal corners.
-    pub other_triangles: usize,
+    pub triangles_changed: usize,
     /// Their geometry had deformed so far that refitting made them a quarter dearer than they were when built.
-    pub decayed: usize,
+    pub cost_grown: usize,
     /// Their geometry asked for another structure, or deformed and asks for one that is not refitted.
-    pub chosen: usize,
+    pub structure_changed: usize,
 }
 
-impl BlasBuilds {
+impl BlasBuildReasons {
     pub(super) fn count(&mut self, reason: BuildReason) {
         *match reason {
             BuildReason::New => &mut self.new,
-            BuildReason::Triangles => &mut self.other_triangles,
-            BuildReason::Decay => &mut self.decayed,
-            BuildReason::Choice => &mut self.chosen,
+            BuildReason::TrianglesChanged => &mut self.triangles_changed,
+            BuildReason::CostGrown => &mut self.cost_grown,
+            BuildReason::StructureChanged => &mut self.structure_changed,
         } += 1;
     }
 }
@@ -113,12 +113,12 @@ mod tests {
 
     use super::*;
 
-    const FAST: Structure = Structure::Bvh(Quality::Fast);
-    const BALANCED: Structure = Structure::Bvh(Quality::Balanced);
+    const FAST: BlasKind = BlasKind::Bvh(Quality::Low);
+    const BALANCED: BlasKind = BlasKind::Bvh(Quality::Medium);
 
     /// What would be built after changes at these compiles.
-    fn built_after(compiles: &[u64]) -> Structure {
-        let mut history = History::new(0);
+    fn built_after(compiles: &[u64]) -> BlasKind {
+        let mut history = ChangeHistory::new(0);
         compiles.iter().for_each(|&now| history.change(now));
         history.structure(&Geometry::default())
     }
@@ -135,11 +135,11 @@ mod tests {
 
     #[test]
     fn an_explicit_choice_wins() {
-        let mut history = History::new(0);
-        let geometry = Geometry::default().with_structure(Structure::KdTree);
-        assert_eq!(history.structure(&geometry), Structure::KdTree);
+        let mut history = ChangeHistory::new(0);
+        let geometry = Geometry::default().with_blas_kind(BlasKind::KdTree);
+        assert_eq!(history.structure(&geometry), BlasKind::KdTree);
         (1..10).for_each(|now| history.change(now));
-        assert_eq!(history.structure(&geometry), Structure::KdTree);
+        assert_eq!(history.structure(&geometry), BlasKind::KdTree);
     }
 
     #[test]
@@ -150,18 +150,25 @@ mod tests {
         let turned = Geometry { indices: [[0, 2, 1]].into(), ..old.clone() };
         let signed = Geometry { positions: [-Vec3::ZERO, Vec3::X, Vec3::Y].into(), ..old.clone() };
         for structure in [FAST, BALANCED] {
-            assert_eq!(step(structure, &old, &old), Step::Keep);
-            assert_eq!(step(structure, &old, &copy), Step::Keep);
-            assert_eq!(step(structure, &old, &moved), Step::Refit);
-            assert_eq!(step(structure, &old, &signed), Step::Refit, "bit by bit");
-            assert_eq!(step(structure, &copy, &moved), Step::Refit, "triangles equal, not shared");
-            assert_eq!(step(structure, &old, &turned), Step::Build(BuildReason::Triangles));
-            assert_eq!(step(structure, &old, &old.clone().with_structure(structure)), Step::Keep);
+            assert_eq!(choose_action(structure, &old, &old), BlasAction::Keep);
+            assert_eq!(choose_action(structure, &old, &copy), BlasAction::Keep);
+            assert_eq!(choose_action(structure, &old, &moved), BlasAction::Refit);
+            assert_eq!(choose_action(structure, &old, &signed), BlasAction::Refit, "bit by bit");
+            assert_eq!(choose_action(structure, &copy, &moved), BlasAction::Refit, "triangles equal, not shared");
+            assert_eq!(choose_action(structure, &old, &turned), BlasAction::Build(BuildReason::TrianglesChanged));
+            assert_eq!(choose_action(structure, &old, &old.clone().with_blas_kind(structure)), BlasAction::Keep);
         }
-        for structure in [Structure::KdTree, Structure::Bvh(Quality::Best)] {
-            assert_eq!(step(structure, &old, &old), Step::Keep, "nothing is chosen any more: what is there will do");
-            assert_eq!(step(structure, &old, &moved), Step::Build(BuildReason::Choice));
-            assert_eq!(step(FAST, &old, &old.clone().with_structure(structure)), Step::Build(BuildReason::Choice));
+        for structure in [BlasKind::KdTree, BlasKind::Bvh(Quality::High)] {
+            assert_eq!(
+                choose_action(structure, &old, &old),
+                BlasAction::Keep,
+                "nothing is chosen any more: what is there will do"
+            );
+            assert_eq!(choose_action(structure, &old, &moved), BlasAction::Build(BuildReason::StructureChanged));
+            assert_eq!(
+                choose_action(FAST, &old, &old.clone().with_blas_kind(structure)),
+                BlasAction::Build(BuildReason::StructureChanged)
+            );
         }
     }
 }

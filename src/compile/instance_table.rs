@@ -4,12 +4,12 @@ use glam::DVec3;
 use rayon::prelude::*;
 use slotmap::{Key, SecondaryMap};
 
-use super::geometry_cache::GeometryCache;
+use super::geometry_table::GeometryTable;
 use super::material_table::MaterialTable;
-use super::pack::Placement;
-use super::view_dependent::ViewDependent;
+use super::pack::InstanceTransform;
+use super::view_dependent::ViewDependentState;
 use crate::accel::{Tlas, TlasUpdate};
-use crate::device::layout::{Instance, InstanceFlags, NONE, PrimitiveRange};
+use crate::device::layout::{InstanceFlags, InstanceRecord, NONE, PrimitiveRange};
 use crate::device::{DeviceArrays, Needs};
 use crate::graph::{GeometryKey, Hierarchy, KeyMap, MaterialKey, NodeKey, NodePath};
 use crate::math::Aabb;
@@ -38,24 +38,24 @@ pub struct InstanceSource {
 /// The instances, by device slot.
 #[derive(Debug, Default)]
 pub(super) struct InstanceTable {
-    slots: Vec<Slot>,
+    slots: Vec<InstanceSlot>,
     free_slots: Vec<u32>,
     /// World box of each slot relative to the render origin; empty for one that cannot be hit.
-    boxes: Vec<Aabb>,
+    world_bounds: Vec<Aabb>,
     /// The slot of each entry, or [`NONE`].
-    slot_at: Vec<u32>,
-    of_geometry: Users<GeometryKey>,
-    of_material: Users<MaterialKey>,
+    slot_of_entry: Vec<u32>,
+    geometry_users: Users<GeometryKey>,
+    material_users: Users<MaterialKey>,
     /// Slots whose records must be written.
-    stale: Vec<u32>,
+    stale_slots: Vec<u32>,
     /// Slots whose boxes differ from what the top level holds.
-    moved: Vec<u32>,
+    slots_with_new_bounds: Vec<u32>,
     tlas: Tlas,
-    totals: Totals,
+    totals: InstanceTotals,
 }
 
 #[derive(Clone, Debug, Default)]
-struct Slot {
+struct InstanceSlot {
     member: Option<Member>,
     is_stale: bool,
     /// Triangles that can be hit, or cannot because the matrix is singular.
@@ -64,7 +64,7 @@ struct Slot {
 
 /// What the members are, in numbers.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Totals {
+pub(super) struct InstanceTotals {
     /// Members that can be hit.
     pub(super) instances: usize,
     /// Members whose matrix keeps their triangles from being hit.
@@ -75,10 +75,10 @@ pub(super) struct Totals {
 
 /// What turns a member into a device record.
 #[derive(Clone, Copy)]
-pub(super) struct Sources<'a> {
+pub(super) struct RecordInputs<'a> {
     pub(super) hierarchy: &'a Hierarchy,
-    pub(super) view: &'a ViewDependent,
-    pub(super) geometries: &'a GeometryCache,
+    pub(super) view: &'a ViewDependentState,
+    pub(super) geometries: &'a GeometryTable,
     pub(super) materials: &'a MaterialTable,
     pub(super) origin: DVec3,
 }
@@ -87,15 +87,15 @@ pub(super) struct Sources<'a> {
 impl InstanceTable {
     /// Makes room for entries up to a count.
     pub(super) fn set_entry_count(&mut self, count: usize) {
-        self.slot_at.resize(count, NONE);
+        self.slot_of_entry.resize(count, NONE);
     }
 
     /// Makes an entry a member, another member, or none.
     ///
     /// # Errors
     /// [`Error::Limit`] beyond 2^28 members: a leaf's instance index has 28 bits.
-    pub(super) fn set(&mut self, entry: usize, member: Option<Member>, arrays: &mut DeviceArrays) -> Result<()> {
-        let slot = self.slot_at[entry];
+    pub(super) fn set_member(&mut self, entry: usize, member: Option<Member>, arrays: &mut DeviceArrays) -> Result<()> {
+        let slot = self.slot_of_entry[entry];
         match member {
             None if slot == NONE => {}
             None => self.free(slot, arrays),
@@ -104,7 +104,7 @@ impl InstanceTable {
                 self.occupy(slot, member);
             }
             Some(member) => {
-                self.release_users(slot);
+                self.remove_from_users(slot);
                 self.occupy(slot, member);
             }
         }
@@ -113,7 +113,7 @@ impl InstanceTable {
 
     /// Gives the members new entries after all of them changed: nodes keep their slots where they can. The table then has
     /// these members. O(members).
-    pub(super) fn replace(
+    pub(super) fn replace_all_members(
         &mut self,
         members: impl Iterator<Item = Member>,
         entry_count: usize,
@@ -127,7 +127,7 @@ impl InstanceTable {
                 next[slot] = first.insert(member.node, slot as u32).unwrap_or(NONE);
             }
         }
-        self.slot_at.clear();
+        self.slot_of_entry.clear();
         self.set_entry_count(entry_count);
         let mut kept = vec![false; self.slots.len()];
         for member in members {
@@ -136,7 +136,7 @@ impl InstanceTable {
                 Some(slot) => {
                     first.insert(member.node, next[slot as usize]);
                     kept[slot as usize] = true;
-                    self.release_users(slot);
+                    self.remove_from_users(slot);
                     slot
                 }
                 None => self.allocate()?,
@@ -146,7 +146,7 @@ impl InstanceTable {
         for slot in (0..kept.len()).filter(|&slot| !kept[slot]) {
             // A slot that was free before may have been taken.
             let entry = self.slots[slot].member.map(|member| member.entry as usize);
-            if entry.is_some_and(|entry| self.slot_at.get(entry) != Some(&(slot as u32))) {
+            if entry.is_some_and(|entry| self.slot_of_entry.get(entry) != Some(&(slot as u32))) {
                 self.free(slot as u32, arrays);
             }
         }
@@ -154,19 +154,19 @@ impl InstanceTable {
     }
 
     /// The members of these geometries and materials must be written again.
-    pub(super) fn mark_users(&mut self, geometries: &[GeometryKey], materials: &[MaterialKey]) {
-        let of_geometries = geometries.iter().flat_map(|&key| self.of_geometry.slots(key));
-        let of_materials = materials.iter().flat_map(|&key| self.of_material.slots(key));
+    pub(super) fn mark_users_stale(&mut self, geometries: &[GeometryKey], materials: &[MaterialKey]) {
+        let of_geometries = geometries.iter().flat_map(|&key| self.geometry_users.slots(key));
+        let of_materials = materials.iter().flat_map(|&key| self.material_users.slots(key));
         let slots: Vec<u32> = of_geometries.chain(of_materials).copied().collect();
-        slots.into_iter().for_each(|slot| self.mark(slot));
+        slots.into_iter().for_each(|slot| self.mark_stale(slot));
     }
 
     /// The entry's member, if it has one, must be written again.
     #[inline]
     pub(super) fn mark_entry(&mut self, entry: usize) {
-        let slot = self.slot_at[entry];
+        let slot = self.slot_of_entry[entry];
         if slot != NONE {
-            self.mark(slot);
+            self.mark_stale(slot);
         }
     }
 
@@ -174,14 +174,14 @@ impl InstanceTable {
     pub(super) fn mark_all(&mut self) {
         for slot in 0..self.slots.len() {
             if self.slots[slot].member.is_some() {
-                self.mark(slot as u32);
+                self.mark_stale(slot as u32);
             }
         }
     }
 
-    fn mark(&mut self, slot: u32) {
+    fn mark_stale(&mut self, slot: u32) {
         if !std::mem::replace(&mut self.slots[slot as usize].is_stale, true) {
-            self.stale.push(slot);
+            self.stale_slots.push(slot);
         }
     }
 
@@ -194,34 +194,34 @@ impl InstanceTable {
             let needed = u64::from(slot) + 1;
             return Err(Error::Limit { what: "the instances array", needed, limit: limit.into(), hint: "" });
         }
-        self.slots.push(Slot::default());
-        self.boxes.push(Aabb::EMPTY);
+        self.slots.push(InstanceSlot::default());
+        self.world_bounds.push(Aabb::EMPTY);
         Ok(slot)
     }
 
     fn occupy(&mut self, slot: u32, member: Member) {
-        self.of_geometry.add(member.geometry, slot);
-        self.of_material.add(member.material, slot);
-        self.slot_at[member.entry as usize] = slot;
+        self.geometry_users.add(member.geometry, slot);
+        self.material_users.add(member.material, slot);
+        self.slot_of_entry[member.entry as usize] = slot;
         self.slots[slot as usize].member = Some(member);
-        self.mark(slot);
+        self.mark_stale(slot);
     }
 
-    fn release_users(&mut self, slot: u32) {
+    fn remove_from_users(&mut self, slot: u32) {
         if let Some(member) = self.slots[slot as usize].member {
-            self.of_geometry.remove(member.geometry, slot);
-            self.of_material.remove(member.material, slot);
+            self.geometry_users.remove(member.geometry, slot);
+            self.material_users.remove(member.material, slot);
         }
     }
 
     fn free(&mut self, slot: u32, arrays: &mut DeviceArrays) {
-        self.release_users(slot);
+        self.remove_from_users(slot);
         if let Some(member) = self.slots[slot as usize].member.take()
-            && let Some(at) = self.slot_at.get_mut(member.entry as usize).filter(|at| **at == slot)
+            && let Some(at) = self.slot_of_entry.get_mut(member.entry as usize).filter(|at| **at == slot)
         {
             *at = NONE;
         }
-        self.put(slot, bytemuck::Zeroable::zeroed(), Aabb::EMPTY, 0, arrays);
+        self.write_slot(slot, bytemuck::Zeroable::zeroed(), Aabb::EMPTY, 0, arrays);
         self.free_slots.push(slot);
     }
 }
@@ -229,41 +229,48 @@ impl InstanceTable {
 /// Records.
 impl InstanceTable {
     /// Writes the records of the members that must be; how many.
-    pub(super) fn write(&mut self, sources: &Sources<'_>, arrays: &mut DeviceArrays) -> usize {
-        let mut stale = std::mem::take(&mut self.stale);
+    pub(super) fn write_stale_records(&mut self, sources: &RecordInputs<'_>, arrays: &mut DeviceArrays) -> usize {
+        let mut stale = std::mem::take(&mut self.stale_slots);
         let (mut placed, mut written) = (Vec::new(), 0);
         // As many at a time as stay in a cache.
         for stale in stale.chunks(1 << 12) {
             let members = stale.par_iter().with_min_len(256).map(|&slot| self.slots[slot as usize].member);
-            members.map(|member| member.map(|member| place(&member, sources))).collect_into_vec(&mut placed);
+            members.map(|member| member.map(|member| instance_record(&member, sources))).collect_into_vec(&mut placed);
             for (&slot, placed) in stale.iter().zip(placed.drain(..)) {
                 self.slots[slot as usize].is_stale = false;
                 if let Some((record, bounds, triangles)) = placed {
-                    self.put(slot, record, bounds, triangles, arrays);
+                    self.write_slot(slot, record, bounds, triangles, arrays);
                     written += 1;
                 }
             }
         }
         stale.clear();
-        self.stale = stale;
+        self.stale_slots = stale;
         if self.free_slots.len() == self.slots.len() {
             // Nobody is left: start anew, with no more memory than that takes.
-            let slot_at = std::mem::take(&mut self.slot_at);
-            *self = Self { slot_at, ..Self::default() };
+            let slot_at = std::mem::take(&mut self.slot_of_entry);
+            *self = Self { slot_of_entry: slot_at, ..Self::default() };
             arrays.instances.truncate(0);
             arrays.tlas_nodes.truncate(0);
         }
         written
     }
 
-    fn put(&mut self, slot: u32, record: Instance, bounds: Aabb, triangles: usize, arrays: &mut DeviceArrays) {
+    fn write_slot(
+        &mut self,
+        slot: u32,
+        record: InstanceRecord,
+        bounds: Aabb,
+        triangles: usize,
+        arrays: &mut DeviceArrays,
+    ) {
         let index = slot as usize;
         arrays.instances.write(index, &[record]);
-        if self.boxes[index] != bounds {
-            self.totals.count(self.boxes[index], self.slots[index].triangles, false);
+        if self.world_bounds[index] != bounds {
+            self.totals.count(self.world_bounds[index], self.slots[index].triangles, false);
             self.totals.count(bounds, triangles, true);
-            self.boxes[index] = bounds;
-            self.moved.push(slot);
+            self.world_bounds[index] = bounds;
+            self.slots_with_new_bounds.push(slot);
         } else if self.slots[index].triangles != triangles {
             self.totals.count(bounds, self.slots[index].triangles, false);
             self.totals.count(bounds, triangles, true);
@@ -273,12 +280,12 @@ impl InstanceTable {
 
     /// Brings the top level up to date.
     pub(super) fn update_tlas(&mut self, arrays: &mut DeviceArrays) -> TlasUpdate {
-        let moved = std::mem::take(&mut self.moved);
-        self.tlas.update(&mut arrays.tlas_nodes, &self.boxes, &moved)
+        let moved = std::mem::take(&mut self.slots_with_new_bounds);
+        self.tlas.update(&mut arrays.tlas_nodes, &self.world_bounds, &moved)
     }
 
     /// What the members are.
-    pub(super) fn totals(&self) -> Totals {
+    pub(super) fn totals(&self) -> InstanceTotals {
         self.totals
     }
 
@@ -289,24 +296,24 @@ impl InstanceTable {
 
     /// The geometries that members have.
     pub(super) fn geometries(&self) -> &Users<GeometryKey> {
-        &self.of_geometry
+        &self.geometry_users
     }
 
     pub(super) fn geometries_mut(&mut self) -> &mut Users<GeometryKey> {
-        &mut self.of_geometry
+        &mut self.geometry_users
     }
 
     pub(super) fn materials_mut(&mut self) -> &mut Users<MaterialKey> {
-        &mut self.of_material
+        &mut self.material_users
     }
 
     /// The materials that members have.
     pub(super) fn materials(&self) -> &Users<MaterialKey> {
-        &self.of_material
+        &self.material_users
     }
 }
 
-impl Totals {
+impl InstanceTotals {
     /// Counts a member in or out.
     fn count(&mut self, bounds: Aabb, triangles: usize, enters: bool) {
         let add = |total: &mut usize, n| *total = if enters { *total + n } else { *total - n };
@@ -327,14 +334,14 @@ pub(super) struct Users<K: Key> {
     /// Of two generations of one slot, while members are exchanged, the one that comes.
     slots: KeyMap<K, Vec<u32>>,
     /// Where each slot stands in its list.
-    places: Vec<u32>,
+    positions_in_list: Vec<u32>,
     /// Whether some key got its first user or lost its last.
     changed: bool,
 }
 
 impl<K: Key> Default for Users<K> {
     fn default() -> Self {
-        Self { slots: KeyMap::new(), places: Vec::new(), changed: false }
+        Self { slots: KeyMap::new(), positions_in_list: Vec::new(), changed: false }
     }
 }
 
@@ -369,19 +376,19 @@ impl<K: Key> Users<K> {
         if slots.is_empty() {
             self.changed = true;
         }
-        if self.places.len() <= slot as usize {
-            self.places.resize(slot as usize + 1, 0);
+        if self.positions_in_list.len() <= slot as usize {
+            self.positions_in_list.resize(slot as usize + 1, 0);
         }
-        self.places[slot as usize] = slots.len() as u32;
+        self.positions_in_list[slot as usize] = slots.len() as u32;
         slots.push(slot);
     }
 
     fn remove(&mut self, key: K, slot: u32) {
         let Some(slots) = self.slots.get_mut(key) else { return };
-        let place = self.places[slot as usize];
+        let place = self.positions_in_list[slot as usize];
         slots.swap_remove(place as usize);
         if let Some(&other) = slots.get(place as usize) {
-            self.places[other as usize] = place;
+            self.positions_in_list[other as usize] = place;
         }
         if slots.is_empty() {
             self.slots.remove(key);
@@ -391,7 +398,7 @@ impl<K: Key> Users<K> {
 }
 
 /// The device record, the world box and the triangles of a member; zeros and an empty box if it cannot be hit.
-fn place(member: &Member, sources: &Sources<'_>) -> (Instance, Aabb, usize) {
+fn instance_record(member: &Member, sources: &RecordInputs<'_>) -> (InstanceRecord, Aabb, usize) {
     let nothing = |triangles| (bytemuck::Zeroable::zeroed(), Aabb::EMPTY, triangles);
     let (Some(geometry), Some(material)) =
         (sources.geometries.get(member.geometry), sources.materials.get(member.material))
@@ -399,18 +406,18 @@ fn place(member: &Member, sources: &Sources<'_>) -> (Instance, Aabb, usize) {
         return nothing(0);
     };
     let entry = member.entry as usize;
-    let world_from_local = sources.view.world(sources.hierarchy, entry);
+    let world_from_local = sources.view.world_from_local(sources.hierarchy, entry);
     if geometry.nodes.is_empty() {
         return nothing(geometry.triangle_count());
     }
-    let Some(placement) = Placement::new(&world_from_local, sources.origin, &geometry.support) else {
+    let Some(placement) = InstanceTransform::new(&world_from_local, sources.origin, &geometry.support) else {
         return nothing(geometry.triangle_count());
     };
     let indices =
         [geometry.nodes.start, geometry.triangles.start, geometry.streams.record.start, material.record.start];
-    let mask = sources.hierarchy.placed()[entry].mask;
+    let mask = sources.hierarchy.resolved()[entry].mask;
     let mut flags = material.instance_flags;
     flags.set(InstanceFlags::THIN, material.needs.contains(Needs::REFRACTION) && !geometry.encloses());
-    flags.set(InstanceFlags::REPEATS, geometry.repeats);
+    flags.set(InstanceFlags::HAS_DUPLICATES, geometry.has_duplicates);
     (placement.instance(indices, mask, flags, member.node), placement.bounds, geometry.triangle_count())
 }

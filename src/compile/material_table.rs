@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use slotmap::SecondaryMap;
 
-use super::arena::Arena;
+use super::buffer_allocator::BufferAllocator;
 use super::instance_table::Users;
 use super::pack;
 use crate::Result;
@@ -16,16 +16,16 @@ use crate::graph::{Material, MaterialKey, Scene, Texture, TextureKey, TextureRef
 /// The materials, texture references and texels on the device.
 #[derive(Debug)]
 pub(super) struct MaterialTable {
-    materials: SecondaryMap<MaterialKey, Entry>,
+    materials: SecondaryMap<MaterialKey, MaterialEntry>,
     textures: SecondaryMap<TextureKey, TextureEntry>,
-    records: Arena,
-    infos: Arena,
-    texels: Arena,
+    records: BufferAllocator,
+    infos: BufferAllocator,
+    texels: BufferAllocator,
 }
 
 /// Where one material lies in the device arrays.
 #[derive(Debug)]
-pub(super) struct Entry {
+pub(super) struct MaterialEntry {
     source: Material,
     /// In `materials`.
     pub(super) record: Range<u32>,
@@ -47,9 +47,9 @@ impl MaterialTable {
         Self {
             materials: SecondaryMap::new(),
             textures: SecondaryMap::new(),
-            records: Arena::new("the materials array"),
-            infos: Arena::new("the texture references array"),
-            texels: Arena::new("the texels array"),
+            records: BufferAllocator::new("the materials array"),
+            infos: BufferAllocator::new("the texture references array"),
+            texels: BufferAllocator::new("the texels array"),
         }
     }
 
@@ -73,7 +73,7 @@ impl MaterialTable {
         let stale: Vec<_> = self.textures.iter().filter(|&(k, e)| !is_current(k, e)).map(|(k, _)| k).collect();
         let reads_stale =
             |m: &Material| texture_slots(m).into_iter().flatten().any(|(r, _)| stale.contains(&r.texture));
-        let is_current = |key, e: &Entry| {
+        let is_current = |key, e: &MaterialEntry| {
             used.has(key) && scene.material(key).is_ok_and(|m| *m == e.source) && !reads_stale(&e.source)
         };
         let gone: Vec<_> = self.materials.iter().filter(|&(k, e)| !is_current(k, e)).map(|(k, _)| k).collect();
@@ -103,7 +103,7 @@ impl MaterialTable {
     }
 
     /// The entry of a material that was in `used` at the last update.
-    pub(super) fn get(&self, key: MaterialKey) -> Option<&Entry> {
+    pub(super) fn get(&self, key: MaterialKey) -> Option<&MaterialEntry> {
         self.materials.get(key)
     }
 
@@ -122,7 +122,7 @@ impl MaterialTable {
         self.textures.len()
     }
 
-    fn store(&mut self, scene: &Scene, material: &Material, arrays: &mut DeviceArrays) -> Result<Entry> {
+    fn store(&mut self, scene: &Scene, material: &Material, arrays: &mut DeviceArrays) -> Result<MaterialEntry> {
         let slots = texture_slots(material);
         let mut infos = Vec::new();
         let mut positions = [None; 5];
@@ -131,12 +131,12 @@ impl MaterialTable {
             let texture = scene.texture(reference.texture)?;
             let first_texel = self.textures[reference.texture].texels.start;
             *position = Some(infos.len() as u32);
-            infos.push(pack::texture_info(reference, texture, first_texel, *color_space));
+            infos.push(pack::texture_record(reference, texture, first_texel, *color_space));
         }
         let infos = self.infos.store(&mut arrays.texture_infos, &infos)?;
         let textures = positions.map(|position| position.map_or(NONE, |p| infos.start + p));
-        let record = self.records.store(&mut arrays.materials, &[pack::material(material, textures)])?;
-        Ok(Entry {
+        let record = self.records.store(&mut arrays.materials, &[pack::material_record(material, textures)])?;
+        Ok(MaterialEntry {
             source: material.clone(),
             record,
             infos,
@@ -146,7 +146,7 @@ impl MaterialTable {
     }
 }
 
-/// The textures of a material in the order of [`pack::material`], each with the colour space its texels are in.
+/// The textures of a material in the order of [`pack::material_record`], each with the colour space its texels are in.
 fn texture_slots(material: &Material) -> [Option<(TextureRef, TextureFlags)>; 5] {
     let (srgb, linear) = (TextureFlags::SRGB, TextureFlags::empty());
     [

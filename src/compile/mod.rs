@@ -1,11 +1,11 @@
 //! From changes in the graph to changes in the device arrays. Never touches wgpu.
 
-mod arena;
+mod buffer_allocator;
 mod changes;
+mod closed_surface;
 mod compiler;
 mod deformation;
-mod enclosure;
-mod geometry_cache;
+mod geometry_table;
 mod instance_table;
 mod material_table;
 mod pack;
@@ -15,8 +15,8 @@ mod view_dependent;
 mod viewpoint;
 
 pub use compiler::Compiler;
-pub use deformation::BlasBuilds;
+pub use deformation::BlasBuildReasons;
 pub use instance_table::InstanceSource;
 pub use report::CompileReport;
 pub(crate) use report::seconds;
-pub use viewpoint::{ImageHeight, Observer};
+pub use viewpoint::{ViewHeight, Viewpoint};

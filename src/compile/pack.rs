@@ -3,14 +3,14 @@
 use glam::{DAffine3, DVec3, Vec4};
 use slotmap::Key as _;
 
-use crate::accel::Support;
-use crate::device::layout::{self, Instance, InstanceFlags, MaterialFlags, TextureFlags, TextureInfo};
+use crate::accel::SupportFunction;
+use crate::device::layout::{self, InstanceFlags, InstanceRecord, MaterialFlags, TextureFlags, TextureInfo};
 use crate::device::{MAX_MIRROR_ROUGHNESS, Needs};
-use crate::graph::{AlphaMode, Filter, Light, LightKind, Material, NodeKey, Texture, TextureRef, Wrap};
+use crate::graph::{AlphaMode, FilterMode, Light, LightKind, Material, NodeKey, Texture, TextureRef, WrapMode};
 use crate::math::Aabb;
 
 /// Where an instance is, for its device record.
-pub(super) struct Placement {
+pub(super) struct InstanceTransform {
     /// Rows of `local_from_world` and `world_from_local`, world relative to the render origin.
     local_from_world: [[f32; 4]; 3],
     world_from_local: [[f32; 4]; 3],
@@ -18,14 +18,14 @@ pub(super) struct Placement {
     pub(super) bounds: Aabb,
 }
 
-impl Placement {
+impl InstanceTransform {
     /// Places a geometry that reaches as far as `support` says. `None` if the matrix is singular, or if it or its inverse does not
     /// fit f32: such a geometry cannot be hit.
     ///
     /// What the device sees is the geometry under the *inverse of the rounded* `local_from_world`, so the box is
     /// computed from that, and then widened by the rounding of the ray transform: each local coordinate of a point x is off
     /// by less than 4 ulp of `|local_from_world| |x| + |translation|`, which the inverse takes back to the world.
-    pub(super) fn new(world_from_local: &DAffine3, origin: DVec3, support: &Support) -> Option<Self> {
+    pub(super) fn new(world_from_local: &DAffine3, origin: DVec3, support: &SupportFunction) -> Option<Self> {
         let mut relative = *world_from_local;
         relative.translation -= origin;
         let determinant = relative.matrix3.determinant();
@@ -48,8 +48,8 @@ impl Placement {
         let bounds = Aabb { min: min.as_vec3(), max: max.as_vec3() };
         let fits = bounds.min.is_finite() && bounds.max.is_finite();
         fits.then(|| Self {
-            local_from_world: rows(&local_from_world),
-            world_from_local: rows(&world_from_local),
+            local_from_world: affine_rows(&local_from_world),
+            world_from_local: affine_rows(&world_from_local),
             bounds,
         })
     }
@@ -61,9 +61,9 @@ impl Placement {
         mask: u32,
         flags: InstanceFlags,
         node: NodeKey,
-    ) -> Instance {
+    ) -> InstanceRecord {
         let key = node.data().as_ffi();
-        Instance {
+        InstanceRecord {
             local_from_world: self.local_from_world,
             world_from_local: self.world_from_local,
             first_node,
@@ -72,21 +72,21 @@ impl Placement {
             material,
             mask,
             flags: flags.bits(),
-            node: [key as u32, (key >> 32) as u32],
+            node_key: [key as u32, (key >> 32) as u32],
         }
     }
 }
 
 /// The device record of a material whose textures (base colour, metallic-roughness, emissive, transmission, normal) are
 /// at these indices of `texture_infos`.
-pub(super) fn material(material: &Material, textures: [u32; 5]) -> layout::Material {
+pub(super) fn material_record(material: &Material, textures: [u32; 5]) -> layout::MaterialRecord {
     let mut flags = MaterialFlags::empty();
     flags.set(MaterialFlags::MASK, matches!(material.alpha_mode, AlphaMode::Mask { .. }));
     flags.set(MaterialFlags::BLEND, material.alpha_mode == AlphaMode::Blend);
     flags.set(MaterialFlags::UNLIT, material.unlit);
     let [base_color_texture, metallic_roughness_texture, emissive_texture, transmission_texture, normal_texture] =
         textures;
-    layout::Material {
+    layout::MaterialRecord {
         base_color: material.base_color.to_array(),
         emissive: material.emissive.to_array(),
         metallic: material.metallic,
@@ -141,7 +141,7 @@ pub(super) fn needs(material: &Material) -> Needs {
 }
 
 /// The device record of a texture as one material slot uses it.
-pub(super) fn texture_info(
+pub(super) fn texture_record(
     reference: &TextureRef,
     texture: &Texture,
     first_texel: u32,
@@ -151,11 +151,11 @@ pub(super) fn texture_info(
     let translation = reference.transform.translation;
     let sampler = reference.sampler;
     let mut flags = color_space;
-    flags.set(TextureFlags::MIRROR_U, sampler.wrap_u == Wrap::Mirror);
-    flags.set(TextureFlags::CLAMP_U, sampler.wrap_u == Wrap::Clamp);
-    flags.set(TextureFlags::MIRROR_V, sampler.wrap_v == Wrap::Mirror);
-    flags.set(TextureFlags::CLAMP_V, sampler.wrap_v == Wrap::Clamp);
-    flags.set(TextureFlags::NEAREST, sampler.filter == Filter::Nearest);
+    flags.set(TextureFlags::MIRROR_U, sampler.wrap_u == WrapMode::Mirror);
+    flags.set(TextureFlags::CLAMP_U, sampler.wrap_u == WrapMode::Clamp);
+    flags.set(TextureFlags::MIRROR_V, sampler.wrap_v == WrapMode::Mirror);
+    flags.set(TextureFlags::CLAMP_V, sampler.wrap_v == WrapMode::Clamp);
+    flags.set(TextureFlags::NEAREST, sampler.filter == FilterMode::Nearest);
     flags.set(TextureFlags::TEX_COORD_1, reference.tex_coord == 1);
     TextureInfo {
         row_u: [x.x, y.x, translation.x, 0.0],
@@ -168,7 +168,7 @@ pub(super) fn texture_info(
 }
 
 /// The device record of a light at `world_from_local`; `None` if it gives no light, or is beyond what f32 holds.
-pub(super) fn light(light: &Light, world_from_local: &DAffine3, origin: DVec3) -> Option<layout::Light> {
+pub(super) fn light_record(light: &Light, world_from_local: &DAffine3, origin: DVec3) -> Option<layout::LightRecord> {
     let color = light.color * light.intensity;
     // A light whose node is scaled to nothing keeps its place and loses its direction.
     let direction = (-world_from_local.matrix3.z_axis).try_normalize();
@@ -187,7 +187,7 @@ pub(super) fn light(light: &Light, world_from_local: &DAffine3, origin: DVec3) -
             (layout::LIGHT_SPOT, scale, -outer * scale)
         }
     };
-    Some(layout::Light {
+    Some(layout::LightRecord {
         position: position.to_array(),
         kind,
         direction: direction.unwrap_or(DVec3::NEG_Z).as_vec3().to_array(),
@@ -202,12 +202,12 @@ pub(super) fn light(light: &Light, world_from_local: &DAffine3, origin: DVec3) -
 }
 
 /// Four 16-bit unorms, red lowest.
-pub(super) fn color(color: Vec4) -> [u32; 2] {
+pub(super) fn pack_color(color: Vec4) -> [u32; 2] {
     let [r, g, b, a] = color.to_array().map(|c| (c.clamp(0.0, 1.0) * 65535.0 + 0.5) as u32);
     [r | g << 16, b | a << 16]
 }
 
-fn rows(affine: &glam::Affine3) -> [[f32; 4]; 3] {
+fn affine_rows(affine: &glam::Affine3) -> [[f32; 4]; 3] {
     let [x, y, z] = [affine.matrix3.x_axis, affine.matrix3.y_axis, affine.matrix3.z_axis];
     let t = affine.translation;
     [[x.x, y.x, z.x, t.x], [x.y, y.y, z.y, t.y], [x.z, y.z, z.z, t.z]]

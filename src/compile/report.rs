@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use serde::Serialize;
 
-use super::BlasBuilds;
+use super::BlasBuildReasons;
 use crate::accel::TlasUpdate;
 use crate::device::Needs;
 
@@ -23,7 +23,7 @@ pub struct CompileReport {
     /// Triangles in them.
     pub blas_built_triangles: usize,
     /// Why they were built.
-    pub blas_builds: BlasBuilds,
+    pub blas_builds: BlasBuildReasons,
     /// Bottom-level structures refitted: their boxes follow the triangles of a geometry that deformed.
     pub blas_refitted: usize,
     /// Triangles in them.
@@ -35,11 +35,11 @@ pub struct CompileReport {
     /// Instances in the top level.
     pub instances: usize,
     /// Visible geometry nodes that no ray can hit, because their matrix is singular or beyond f32.
-    pub singular_instances: usize,
+    pub unhittable_instances: usize,
     /// Triangles of the visible geometries, each counted once.
-    pub triangles: usize,
+    pub unique_triangles: usize,
     /// Triangles in the scene, counted for each instance.
-    pub scene_triangles: usize,
+    pub instanced_triangles: usize,
     /// Materials in use.
     pub materials: usize,
     /// Textures in use.
@@ -70,7 +70,7 @@ impl CompileReport {
             instances_written: 0,
             blas_built: 0,
             blas_built_triangles: 0,
-            blas_builds: BlasBuilds::default(),
+            blas_builds: BlasBuildReasons::default(),
             blas_refitted: 0,
             blas_refitted_triangles: 0,
             blas_freed: 0,

@@ -3,21 +3,21 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use super::arena::Arena;
+use super::buffer_allocator::BufferAllocator;
 use super::pack;
 use crate::Result;
 use crate::device::DeviceArrays;
-use crate::device::layout::{NONE, Streams};
+use crate::device::layout::{GeometryRecord, NONE};
 use crate::graph::Geometry;
 
 /// Hands out places in the arrays for streams.
 #[derive(Debug)]
-pub(super) struct VertexStreams {
-    records: Arena,
-    indices: Arena,
-    normals: Arena,
-    tex_coords: Arena,
-    colors: Arena,
+pub(super) struct VertexStreamTable {
+    records: BufferAllocator,
+    indices: BufferAllocator,
+    normals: BufferAllocator,
+    tex_coords: BufferAllocator,
+    colors: BufferAllocator,
 }
 
 /// Where the streams of one geometry lie; by default nowhere.
@@ -31,14 +31,14 @@ pub(super) struct StreamRanges {
     colors: Range<u32>,
 }
 
-impl VertexStreams {
+impl VertexStreamTable {
     pub(super) fn new() -> Self {
         Self {
-            records: Arena::new("the geometries array"),
-            indices: Arena::new("the vertex indices array"),
-            normals: Arena::new("the normals array"),
-            tex_coords: Arena::new("the texture coordinates array"),
-            colors: Arena::new("the vertex colours array"),
+            records: BufferAllocator::new("the geometries array"),
+            indices: BufferAllocator::new("the vertex indices array"),
+            normals: BufferAllocator::new("the normals array"),
+            tex_coords: BufferAllocator::new("the texture coordinates array"),
+            colors: BufferAllocator::new("the vertex colours array"),
         }
     }
 
@@ -70,10 +70,10 @@ impl VertexStreams {
         }
         if !is_shared(&old.colors, &geometry.colors) {
             let colors = geometry.colors.as_deref().unwrap_or_default();
-            let colors: Vec<[u32; 2]> = colors.iter().map(|c| pack::color(*c)).collect();
+            let colors: Vec<[u32; 2]> = colors.iter().map(|c| pack::pack_color(*c)).collect();
             self.colors.replace(&mut arrays.colors, &mut ranges.colors, &colors)?;
         }
-        let record = Streams {
+        let record = GeometryRecord {
             first_index: first_or_none(&ranges.indices),
             first_normal: first_or_none(&ranges.normals),
             first_tex_coord_0: first_or_none(&ranges.tex_coords[0]),

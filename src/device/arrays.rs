@@ -4,7 +4,9 @@ use std::ops::Range;
 
 use bytemuck::Pod;
 
-use super::layout::{Instance, Light, Material, Node, Streams, TextureInfo, Triangle, WideNode};
+use super::layout::{
+    GeometryRecord, InstanceRecord, LightRecord, MaterialRecord, Node, TextureInfo, Triangle, WideNode,
+};
 
 /// A compiled scene: what the traversal kernel reads. Indices in one array refer to another as
 /// [`layout`](super::layout) says.
@@ -13,7 +15,7 @@ pub struct DeviceArrays {
     /// The top-level hierarchy over `instances`.
     pub tlas_nodes: DeviceBuffer<Node>,
     /// Bottom-level structures placed in the world. Slots of removed instances are zero and unreachable.
-    pub instances: DeviceBuffer<Instance>,
+    pub instances: DeviceBuffer<InstanceRecord>,
     /// The bottom-level hierarchies, one after the other.
     pub blas_nodes: DeviceBuffer<Node>,
     /// The same with eight children a node.
@@ -21,7 +23,7 @@ pub struct DeviceArrays {
     /// Their triangles, in leaf order.
     pub triangles: DeviceBuffer<Triangle>,
     /// One a geometry.
-    pub geometries: DeviceBuffer<Streams>,
+    pub geometries: DeviceBuffer<GeometryRecord>,
     /// Vertex indices, three a triangle in the geometry's own order.
     pub indices: DeviceBuffer<u32>,
     /// Vertex normals, three numbers each.
@@ -31,13 +33,13 @@ pub struct DeviceArrays {
     /// Vertex colours, four 16-bit unorms each.
     pub colors: DeviceBuffer<[u32; 2]>,
     /// One a material.
-    pub materials: DeviceBuffer<Material>,
+    pub materials: DeviceBuffer<MaterialRecord>,
     /// One a texture reference of a material.
     pub texture_infos: DeviceBuffer<TextureInfo>,
     /// RGBA8, red lowest, row by row.
     pub texels: DeviceBuffer<u32>,
     /// One a visible light node.
-    pub lights: DeviceBuffer<Light>,
+    pub lights: DeviceBuffer<LightRecord>,
 }
 
 impl DeviceArrays {
@@ -63,21 +65,21 @@ impl DeviceArrays {
     }
 
     /// Empties the list of changed ranges of every array, for executors that read the arrays in place.
-    pub fn forget_dirty(&mut self) {
-        self.tlas_nodes.dirty.clear();
-        self.instances.dirty.clear();
-        self.blas_nodes.dirty.clear();
-        self.wide_nodes.dirty.clear();
-        self.triangles.dirty.clear();
-        self.geometries.dirty.clear();
-        self.indices.dirty.clear();
-        self.normals.dirty.clear();
-        self.tex_coords.dirty.clear();
-        self.colors.dirty.clear();
-        self.materials.dirty.clear();
-        self.texture_infos.dirty.clear();
-        self.texels.dirty.clear();
-        self.lights.dirty.clear();
+    pub fn clear_dirty(&mut self) {
+        self.tlas_nodes.dirty_ranges.clear();
+        self.instances.dirty_ranges.clear();
+        self.blas_nodes.dirty_ranges.clear();
+        self.wide_nodes.dirty_ranges.clear();
+        self.triangles.dirty_ranges.clear();
+        self.geometries.dirty_ranges.clear();
+        self.indices.dirty_ranges.clear();
+        self.normals.dirty_ranges.clear();
+        self.tex_coords.dirty_ranges.clear();
+        self.colors.dirty_ranges.clear();
+        self.materials.dirty_ranges.clear();
+        self.texture_infos.dirty_ranges.clear();
+        self.texels.dirty_ranges.clear();
+        self.lights.dirty_ranges.clear();
     }
 }
 
@@ -85,12 +87,12 @@ impl DeviceArrays {
 #[derive(Debug)]
 pub struct DeviceBuffer<T> {
     data: Vec<T>,
-    dirty: Vec<Range<usize>>,
+    dirty_ranges: Vec<Range<usize>>,
 }
 
 impl<T> Default for DeviceBuffer<T> {
     fn default() -> Self {
-        Self { data: Vec::new(), dirty: Vec::new() }
+        Self { data: Vec::new(), dirty_ranges: Vec::new() }
     }
 }
 
@@ -122,7 +124,7 @@ impl<T: Pod> DeviceBuffer<T> {
         };
         current[from..=last].copy_from_slice(&values[from..=last]);
         // A gap between the old end and `first` is new to the executor too.
-        self.mark((first + from).min(old_len)..first + last + 1);
+        self.mark_dirty((first + from).min(old_len)..first + last + 1);
     }
 
     /// Replaces the whole array.
@@ -135,27 +137,27 @@ impl<T: Pod> DeviceBuffer<T> {
     pub(crate) fn set(&mut self, index: usize, value: T) {
         if bytemuck::bytes_of(&self.data[index]) != bytemuck::bytes_of(&value) {
             self.data[index] = value;
-            self.mark(index..index + 1);
+            self.mark_dirty(index..index + 1);
         }
     }
 
     /// Gives the array `len` elements, all marked as changed, for the caller to overwrite: what they hold is unspecified.
-    pub(crate) fn rewrite(&mut self, len: usize) -> &mut [T] {
+    pub(crate) fn resize_for_overwrite(&mut self, len: usize) -> &mut [T] {
         self.truncate(len);
         if self.data.capacity() < len {
             // Fresh zeros cost nothing until they are written to, and threads then do that side by side.
             self.data = bytemuck::zeroed_vec(len);
         }
         self.data.resize(len, T::zeroed());
-        self.dirty.clear();
+        self.dirty_ranges.clear();
         if len > 0 {
-            self.mark(0..len);
+            self.mark_dirty(0..len);
         }
         &mut self.data
     }
 
-    /// The elements, for a caller that [marks](Self::mark) those it changes.
-    pub(crate) fn unmarked_mut(&mut self) -> &mut [T] {
+    /// The elements, for a caller that [marks](Self::mark_dirty) those it changes.
+    pub(crate) fn as_mut_slice_without_marking(&mut self) -> &mut [T] {
         &mut self.data
     }
 
@@ -169,7 +171,7 @@ impl<T: Pod> DeviceBuffer<T> {
 
     /// The ranges that changed since the last call, sorted and disjoint, none beyond the array's end.
     pub fn take_dirty(&mut self) -> Vec<Range<usize>> {
-        let mut ranges = std::mem::take(&mut self.dirty);
+        let mut ranges = std::mem::take(&mut self.dirty_ranges);
         ranges.sort_unstable_by_key(|r| r.start);
         let mut merged: Vec<Range<usize>> = Vec::with_capacity(ranges.len());
         for range in ranges {
@@ -184,12 +186,12 @@ impl<T: Pod> DeviceBuffer<T> {
     }
 
     /// Marks a range as changed. O(1): ranges are sorted and merged when they are taken.
-    pub(crate) fn mark(&mut self, range: Range<usize>) {
-        match self.dirty.last_mut() {
+    pub(crate) fn mark_dirty(&mut self, range: Range<usize>) {
+        match self.dirty_ranges.last_mut() {
             Some(last) if range.start <= last.end && range.end >= last.start => {
                 *last = last.start.min(range.start)..last.end.max(range.end);
             }
-            _ => self.dirty.push(range),
+            _ => self.dirty_ranges.push(range),
         }
     }
 }

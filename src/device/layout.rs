@@ -23,19 +23,19 @@ pub struct Node {
 
 impl Node {
     /// No box of a node in use has a corner this far out: [`f32::MAX`] less one ulp.
-    pub(crate) const UNUSED: f32 = f32::from_bits(f32::MAX.to_bits() - 1);
+    pub(crate) const UNUSED_COORDINATE: f32 = f32::from_bits(f32::MAX.to_bits() - 1);
 
     /// A leaf of the top level that holds nothing: an inner node without children, so that traversal goes on with the next
     /// node whether it meets the box or not. The box lies where no ray comes by. It must not be the last of an array. An inner
     /// node with nothing but unused leaves below it has the same box.
-    pub fn unused(escape_index: u32) -> Self {
-        Self { min: [Self::UNUSED; 3], escape_index, max: [f32::MAX; 3], primitives: PrimitiveRange::INNER }
+    pub fn unused_leaf(escape_index: u32) -> Self {
+        Self { min: [Self::UNUSED_COORDINATE; 3], escape_index, max: [f32::MAX; 3], primitives: PrimitiveRange::INNER }
     }
 
-    /// Whether there is nothing in it or below it, see [`unused`](Self::unused). A walk that visits the children of inner nodes
+    /// Whether there is nothing in it or below it, see [`unused_slot`](Self::unused_leaf). A walk that visits the children of inner nodes
     /// must leave these out.
-    pub fn is_unused(&self) -> bool {
-        self.min[0] >= Self::UNUSED
+    pub fn is_empty(&self) -> bool {
+        self.min[0] >= Self::UNUSED_COORDINATE
     }
 }
 
@@ -65,7 +65,7 @@ impl PrimitiveRange {
     }
 
     /// The first primitive.
-    pub fn first(self) -> u32 {
+    pub fn first_primitive(self) -> u32 {
         self.0 & (Self::MAX_FIRST - 1)
     }
 
@@ -76,7 +76,7 @@ impl PrimitiveRange {
     }
 
     /// How many primitives; 0 for an inner node.
-    pub fn count(self) -> u32 {
+    pub fn primitive_count(self) -> u32 {
         self.0 >> 28
     }
 }
@@ -118,7 +118,7 @@ pub struct Triangle {
 /// relative to the scene's render origin.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
-pub struct Instance {
+pub struct InstanceRecord {
     /// Three rows of an affine matrix: `local.x = dot(row0.xyz, world) + row0.w`.
     pub local_from_world: [[f32; 4]; 3],
     /// Three rows of its inverse.
@@ -136,7 +136,7 @@ pub struct Instance {
     /// [`InstanceFlags`].
     pub flags: u32,
     /// The node's key, as slotmap's `KeyData::as_ffi` gives it: lower 32 bits (slot), upper 32 bits (version).
-    pub node: [u32; 2],
+    pub node_key: [u32; 2],
 }
 
 bitflags::bitflags! {
@@ -153,14 +153,14 @@ bitflags::bitflags! {
         const THIN = 8;
         /// Some triangle is in several leaves of the geometry's structure, and may be met more than once: what is counted must
         /// count it once.
-        const REPEATS = 16;
+        const HAS_DUPLICATES = 16;
     }
 }
 
 /// Where a geometry's vertex streams and wide nodes start; [`NONE`] for what it does not have. 32 bytes.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
-pub struct Streams {
+pub struct GeometryRecord {
     /// Into `indices`, in `u32`s: the three vertices of triangle `primitive` are at `first_index + 3 * primitive`.
     /// [`NONE`] for a geometry without any stream, which has nothing to look up.
     pub first_index: u32,
@@ -181,7 +181,7 @@ pub struct Streams {
 /// A [`graph::Material`](crate::graph::Material) as the kernel reads it. 80 bytes.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
-pub struct Material {
+pub struct MaterialRecord {
     /// Linear RGBA.
     pub base_color: [f32; 4],
     /// Linear radiance.
@@ -215,7 +215,7 @@ pub struct Material {
 }
 
 bitflags::bitflags! {
-    /// The switches of a [`Material`].
+    /// The switches of a [`MaterialRecord`].
     #[derive(Clone, Copy, Debug, PartialEq, Eq)]
     pub struct MaterialFlags: u32 {
         /// Alpha below the cutoff is a hole.
@@ -269,7 +269,7 @@ bitflags::bitflags! {
 /// A light in (origin-relative) world space. 64 bytes.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
-pub struct Light {
+pub struct LightRecord {
     /// Position (point, spot).
     pub position: [f32; 3],
     /// [`LIGHT_POINT`], [`LIGHT_SPOT`] or [`LIGHT_DIRECTIONAL`].
@@ -292,11 +292,11 @@ pub struct Light {
     pub _pad2: u32,
 }
 
-/// [`Light::kind`]: shines in all directions.
+/// [`LightRecord::kind`]: shines in all directions.
 pub const LIGHT_POINT: u32 = 0;
-/// [`Light::kind`]: shines in a cone.
+/// [`LightRecord::kind`]: shines in a cone.
 pub const LIGHT_SPOT: u32 = 1;
-/// [`Light::kind`]: infinitely far away.
+/// [`LightRecord::kind`]: infinitely far away.
 pub const LIGHT_DIRECTIONAL: u32 = 2;
 
 /// What changes from frame to frame: the uniform buffer. 128 bytes. Positions are relative to the render origin.
@@ -340,7 +340,7 @@ pub struct FrameParams {
 /// A ray for a batch query, in (origin-relative) world space. 32 bytes.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
-pub struct Ray {
+pub struct RayRecord {
     /// Where it starts.
     pub origin: [f32; 3],
     /// Hits nearer than this are passed over, in units of `direction`'s length; not negative.
@@ -354,7 +354,7 @@ pub struct Ray {
 /// What a ray hit. 32 bytes. A miss has `instance == NONE`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
-pub struct Hit {
+pub struct HitRecord {
     /// Distance in units of the ray direction's length.
     pub t: f32,
     /// Barycentric weight of the second vertex.
@@ -369,15 +369,15 @@ pub struct Hit {
     pub triangle: u32,
     /// 1 if the ray came from the side where the triangle winds clockwise in local space, else 0. That is the back as glTF
     /// defines it, under mirroring transforms too.
-    pub back: u32,
+    pub back_face: u32,
     /// Zero.
     pub _pad: u32,
 }
 
-impl Hit {
+impl HitRecord {
     /// No hit.
     pub const MISS: Self =
-        Self { t: f32::MAX, u: 0.0, v: 0.0, instance: NONE, primitive: NONE, triangle: NONE, back: 0, _pad: 0 };
+        Self { t: f32::MAX, u: 0.0, v: 0.0, instance: NONE, primitive: NONE, triangle: NONE, back_face: 0, _pad: 0 };
 }
 
 /// How the rays of a batch are traced: a uniform buffer. 16 bytes.

@@ -9,12 +9,12 @@ use crate::Result;
 
 /// All accessors of a file, checked.
 pub(super) struct Accessors<'a> {
-    elements: Vec<Elements<'a>>,
+    elements: Vec<AccessorData<'a>>,
 }
 
 /// What one accessor reads.
 #[derive(Clone, Debug)]
-pub(super) struct Elements<'a> {
+pub(super) struct AccessorData<'a> {
     /// The accessor's index in the file.
     index: usize,
     /// Number of elements.
@@ -47,30 +47,30 @@ struct Sparse<'a> {
 pub(super) enum Selection<'a> {
     All,
     /// Ascending, each below the accessor's count.
-    Only(&'a [u32]),
+    Indices(&'a [u32]),
 }
 
 impl<'a> Accessors<'a> {
     /// Checks that every accessor lies within its buffer views, and reads the sparse indices. O(accessors + sparse indices).
     pub(super) fn new(document: &Document, buffers: &'a Buffers, budget: &mut Budget) -> Result<Self> {
-        let check = |index| Elements::new(document, buffers, budget, index);
+        let check = |index| AccessorData::new(document, buffers, budget, index);
         let elements = (0..document.accessors.len()).map(check).collect::<Result<_>>()?;
         Ok(Self { elements })
     }
 
     /// The elements of an accessor.
-    pub(super) fn get(&self, index: usize) -> &Elements<'a> {
+    pub(super) fn get(&self, index: usize) -> &AccessorData<'a> {
         &self.elements[index]
     }
 
     /// For each accessor the first one that reads the same bytes in the same way: itself, where there is no other.
-    pub(super) fn same_as(&self, document: &Document, buffers: &Buffers) -> Vec<usize> {
+    pub(super) fn canonical_indices(&self, document: &Document, buffers: &Buffers) -> Vec<usize> {
         let mut first = std::collections::HashMap::new();
         let place = |view: usize, offset: u64| {
-            let (buffer, start) = buffers.place(document, view);
+            let (buffer, start) = buffers.location_of_view(document, view);
             (buffer, start + offset)
         };
-        let identity = |(i, elements): (usize, &Elements)| {
+        let identity = |(i, elements): (usize, &AccessorData)| {
             let accessor = &document.accessors[i];
             let data = accessor.buffer_view.map(|v| place(v.value(), accessor.byte_offset.map_or(0, |o| o.0)));
             let stride = match elements.data {
@@ -90,7 +90,7 @@ impl<'a> Accessors<'a> {
     }
 }
 
-impl<'a> Elements<'a> {
+impl<'a> AccessorData<'a> {
     fn new(document: &Document, buffers: &'a Buffers, budget: &mut Budget, index: usize) -> Result<Self> {
         let accessor = &document.accessors[index];
         let fault = |cause: String| document.fault(format!("/accessors/{index}"), cause);
@@ -160,7 +160,7 @@ impl<'a> Elements<'a> {
     }
 
     /// Checks that the accessor has a format that its user can read. `role` is the user, `expected` names the formats in words.
-    pub(super) fn require(
+    pub(super) fn require_format(
         &self,
         document: &Document,
         role: &str,
@@ -235,7 +235,7 @@ impl<'a> Elements<'a> {
         if !self.has_data() {
             return Err(document.fault(self.pointer(), "its buffer has no data"));
         }
-        self.require(document, "it", &format!("of {N} components"), |format| format.shape.components() == N)
+        self.require_format(document, "it", &format!("of {N} components"), |format| format.shape.components() == N)
     }
 
     /// Decodes components of `S` bytes into elements of `N` of them. The format has been checked to have `N` components of `S` bytes.
@@ -257,17 +257,17 @@ impl<'a> Elements<'a> {
             (Data::Strided { bytes, stride }, Selection::All) => {
                 bytes.chunks(stride).take(self.count).map(element).collect()
             }
-            (Data::Strided { bytes, stride }, Selection::Only(indices)) => {
+            (Data::Strided { bytes, stride }, Selection::Indices(indices)) => {
                 indices.iter().map(|&i| element(&bytes[i as usize * stride..])).collect()
             }
-            (_, selection) => vec![T::zeroed(); self.selected(selection)],
+            (_, selection) => vec![T::zeroed(); self.selected_count(selection)],
         };
 
         if let Some(sparse) = &self.sparse {
             for (&i, value) in sparse.indices.iter().zip(sparse.values.chunks(N * S)) {
                 let place = match selection {
                     Selection::All => Ok(i as usize),
-                    Selection::Only(indices) => indices.binary_search(&i),
+                    Selection::Indices(indices) => indices.binary_search(&i),
                 };
                 if let Ok(place) = place {
                     out[place] = element(value);
@@ -278,10 +278,10 @@ impl<'a> Elements<'a> {
     }
 
     /// How many elements a selection has.
-    pub(super) fn selected(&self, selection: Selection) -> usize {
+    pub(super) fn selected_count(&self, selection: Selection) -> usize {
         match selection {
             Selection::All => self.count,
-            Selection::Only(indices) => indices.len(),
+            Selection::Indices(indices) => indices.len(),
         }
     }
 
@@ -289,7 +289,7 @@ impl<'a> Elements<'a> {
         let Some(i) = bytemuck::cast_slice::<T, f32>(out).iter().position(|x| !x.is_finite()) else { return Ok(()) };
         let element = match selection {
             Selection::All => i / N,
-            Selection::Only(indices) => indices[i / N] as usize,
+            Selection::Indices(indices) => indices[i / N] as usize,
         };
         Err(document.fault(self.pointer(), format!("element {element} is not finite")))
     }

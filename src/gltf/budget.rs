@@ -7,7 +7,7 @@ use crate::Result;
 const BASE_BYTES: u64 = 16 << 20;
 /// Allowed for each byte that was read. Sharing makes honest files grow by 40 times and more (one sphere shown by 98 nodes, an
 /// instance for 4 bytes of translation); a file that grows by more than this is made to.
-const BYTES_PER_BYTE: u64 = 256;
+const MAX_EXPANSION: u64 = 256;
 
 /// What is left of the memory that an import may allocate.
 ///
@@ -22,7 +22,7 @@ pub(super) struct Budget {
 impl Budget {
     /// The budget of an import that has read this many bytes, all files together.
     pub(super) fn new(bytes_read: u64) -> Self {
-        let limit = BASE_BYTES.saturating_add(bytes_read.saturating_mul(BYTES_PER_BYTE));
+        let limit = BASE_BYTES.saturating_add(bytes_read.saturating_mul(MAX_EXPANSION));
         Self { left: limit, limit }
     }
 

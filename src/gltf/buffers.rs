@@ -4,7 +4,7 @@ use std::borrow::Cow;
 use std::collections::HashMap;
 
 use super::Document;
-use super::uri::{self, Location};
+use super::uri::{self, UriTarget};
 use crate::Result;
 
 /// The bytes of every buffer, and the check that buffer views lie within them.
@@ -22,13 +22,13 @@ impl<'a> Buffers<'a> {
     pub(super) fn load(document: &Document, bin: Option<&'a [u8]>) -> Result<Self> {
         let mut buffers = Self { data: Vec::new(), same_as: Vec::new(), external_bytes: 0 };
         // 1. Which are the same, and how much of each is needed.
-        let mut needed: HashMap<Location, (usize, u64)> = HashMap::new();
+        let mut needed: HashMap<UriTarget, (usize, u64)> = HashMap::new();
         for (i, buffer) in document.buffers.iter().enumerate() {
             let Some(uri) = &buffer.uri else {
                 buffers.same_as.push(i);
                 continue;
             };
-            let location = uri::locate(uri, document.path).map_err(|e| document.fault(format!("/buffers/{i}"), e))?;
+            let location = uri::resolve(uri, document.path).map_err(|e| document.fault(format!("/buffers/{i}"), e))?;
             let (first, length) = needed.entry(location).or_insert((i, 0));
             *length = buffer.byte_length.0.max(*length);
             buffers.same_as.push(*first);
@@ -87,7 +87,7 @@ impl<'a> Buffers<'a> {
     }
 
     /// Where a view's bytes are: views with equal answers share their data.
-    pub(super) fn place(&self, document: &Document, index: usize) -> (usize, u64) {
+    pub(super) fn location_of_view(&self, document: &Document, index: usize) -> (usize, u64) {
         let view = &document.views[index];
         (self.same_as[view.buffer.value()], view.byte_offset.map_or(0, |o| o.0))
     }

@@ -6,15 +6,15 @@ use json::camera::Type;
 use json::validation::Checked::{Invalid, Valid};
 
 use super::Document;
-use super::notes::Notes;
+use super::warnings::Warnings;
 use crate::Result;
 use crate::graph::Camera;
 
 /// The widest field of view there is: 179 degrees.
-const WIDEST: f32 = 179.0 / 180.0 * std::f32::consts::PI;
+const MAX_Y_FOV: f32 = 179.0 / 180.0 * std::f32::consts::PI;
 
 /// The camera with this index in the file; `None` if it is of a type that glTF does not know. The clip planes are not used.
-pub(super) fn convert(document: &Document, index: usize, notes: &mut Notes) -> Result<Option<Camera>> {
+pub(super) fn convert(document: &Document, index: usize, notes: &mut Warnings) -> Result<Option<Camera>> {
     let camera = &document.cameras[index];
     let pointer = format!("/cameras/{index}");
     let positive = |what: &str, value: f32| {
@@ -28,9 +28,9 @@ pub(super) fn convert(document: &Document, index: usize, notes: &mut Notes) -> R
     match (&camera.type_, &camera.perspective, &camera.orthographic) {
         (Valid(Type::Perspective), Some(perspective), _) => {
             let mut y_fov = positive("yfov", perspective.yfov)?;
-            if y_fov > WIDEST {
-                notes.add(document, "yfov", &*pointer, format!("is {y_fov}, too wide to be seen: {WIDEST} is used"));
-                y_fov = WIDEST;
+            if y_fov > MAX_Y_FOV {
+                notes.add(document, "yfov", &*pointer, format!("is {y_fov}, too wide to be seen: {MAX_Y_FOV} is used"));
+                y_fov = MAX_Y_FOV;
             }
             let aspect = perspective.aspect_ratio.map(|aspect| positive("aspectRatio", aspect)).transpose()?;
             Ok(Some(Camera::Perspective { y_fov, aspect, shift: Vec2::ZERO }))

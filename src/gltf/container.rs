@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::fault;
+use super::error_at;
 use crate::Result;
 
 const MAGIC: &[u8; 4] = b"glTF";
@@ -24,16 +24,16 @@ impl<'a> Container<'a> {
     /// Tells the container by its magic number, not by the file's name. O(chunks).
     pub(super) fn parse(bytes: &'a [u8], path: &Path) -> Result<Self> {
         let parts = if bytes.starts_with(MAGIC) { Self::parse_glb(bytes) } else { Ok(Self { json: bytes, bin: None }) };
-        let mut parts = parts.map_err(|cause| fault(path, "", cause))?;
+        let mut parts = parts.map_err(|cause| error_at(path, "", cause))?;
         parts.json = parts.json.strip_prefix(BYTE_ORDER_MARK).unwrap_or(parts.json);
         if parts.json.is_empty() {
-            return Err(fault(path, "", "there is no JSON in it: neither a glTF nor a GLB file"));
+            return Err(error_at(path, "", "there is no JSON in it: neither a glTF nor a GLB file"));
         }
         Ok(parts)
     }
 
     fn parse_glb(bytes: &'a [u8]) -> Result<Self, String> {
-        let (Some(version), Some(length)) = (word(bytes, 4), word(bytes, 8)) else {
+        let (Some(version), Some(length)) = (read_u32(bytes, 4), read_u32(bytes, 8)) else {
             return Err("the GLB header is cut short".into());
         };
         if version != 2 {
@@ -72,7 +72,7 @@ impl<'a> Container<'a> {
 
 /// The first chunk's kind and data, and what comes after it.
 fn split_chunk(bytes: &[u8]) -> Result<(u32, &[u8], &[u8]), String> {
-    let (Some(length), Some(kind)) = (word(bytes, 0), word(bytes, 4)) else {
+    let (Some(length), Some(kind)) = (read_u32(bytes, 0), read_u32(bytes, 4)) else {
         return Err("a GLB chunk header is cut short".into());
     };
     let body = &bytes[CHUNK_HEADER_BYTES..];
@@ -84,7 +84,7 @@ fn split_chunk(bytes: &[u8]) -> Result<(u32, &[u8], &[u8]), String> {
 }
 
 /// The little-endian word at a byte offset.
-fn word(bytes: &[u8], offset: usize) -> Option<u32> {
+fn read_u32(bytes: &[u8], offset: usize) -> Option<u32> {
     bytes.get(offset..offset + 4)?.try_into().ok().map(u32::from_le_bytes)
 }
 

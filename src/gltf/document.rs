@@ -10,7 +10,7 @@ use glam::{DAffine3, DMat3, DQuat, DVec3};
 use serde::Deserialize;
 use serde_json::{Number, Value};
 
-use super::{Hierarchy, fault, references};
+use super::{NodeForest, error_at, references};
 use crate::graph::Transform;
 use crate::{Error, Result};
 
@@ -49,7 +49,7 @@ pub(super) struct Document<'a> {
     /// The local transform of each node, read in f64.
     pub(super) transforms: Vec<Transform>,
     /// Who is whose child.
-    pub(super) hierarchy: Hierarchy,
+    pub(super) hierarchy: NodeForest,
 }
 
 impl<'a> Document<'a> {
@@ -58,31 +58,31 @@ impl<'a> Document<'a> {
     /// Nesting is limited to 128 levels by `serde_json`, so nothing that walks the tree can overflow the stack.
     pub(super) fn parse(text: &[u8], path: &'a Path) -> Result<Self> {
         let mut value: Value =
-            serde_json::from_slice(text).map_err(|e| fault(path, "", format!("is not valid JSON: {e}")))?;
-        simplify(&mut value);
+            serde_json::from_slice(text).map_err(|e| error_at(path, "", format!("is not valid JSON: {e}")))?;
+        normalize_numbers_and_drop_extras(&mut value);
         add_empty_lists(&mut value);
 
         check_version(&value, path)?;
         check_required_extensions(&value, path)?;
         references::check(&value, path)?;
 
-        let nodes: Vec<json::Node> = typed(&value, "/nodes", path)?;
-        let scenes = typed(&value, "/scenes", path)?;
+        let nodes: Vec<json::Node> = parse_array(&value, "/nodes", path)?;
+        let scenes = parse_array(&value, "/scenes", path)?;
         Ok(Self {
             path,
-            accessors: typed(&value, "/accessors", path)?,
-            buffers: typed(&value, "/buffers", path)?,
-            views: typed(&value, "/bufferViews", path)?,
-            cameras: typed(&value, "/cameras", path)?,
-            images: typed(&value, "/images", path)?,
-            lights: typed(&value, "/extensions/KHR_lights_punctual/lights", path)?,
-            materials: typed(&value, "/materials", path)?,
-            meshes: typed(&value, "/meshes", path)?,
-            samplers: typed(&value, "/samplers", path)?,
-            skins: typed(&value, "/skins", path)?,
-            textures: typed(&value, "/textures", path)?,
+            accessors: parse_array(&value, "/accessors", path)?,
+            buffers: parse_array(&value, "/buffers", path)?,
+            views: parse_array(&value, "/bufferViews", path)?,
+            cameras: parse_array(&value, "/cameras", path)?,
+            images: parse_array(&value, "/images", path)?,
+            lights: parse_array(&value, "/extensions/KHR_lights_punctual/lights", path)?,
+            materials: parse_array(&value, "/materials", path)?,
+            meshes: parse_array(&value, "/meshes", path)?,
+            samplers: parse_array(&value, "/samplers", path)?,
+            skins: parse_array(&value, "/skins", path)?,
+            textures: parse_array(&value, "/textures", path)?,
             transforms: transforms(&value, path)?,
-            hierarchy: Hierarchy::new(&nodes, &scenes, path)?,
+            hierarchy: NodeForest::new(&nodes, &scenes, path)?,
             nodes,
             scenes,
             value,
@@ -91,7 +91,7 @@ impl<'a> Document<'a> {
 
     /// An error about an object of this file.
     pub(super) fn fault(&self, object: impl Into<String>, cause: impl Into<String>) -> Error {
-        fault(self.path, object, cause)
+        error_at(self.path, object, cause)
     }
 
     /// What a node's extension says, where the crate has no type for it.
@@ -101,21 +101,21 @@ impl<'a> Document<'a> {
 }
 
 /// The objects of an array of the JSON; none where there is no such array.
-fn typed<T: for<'de> Deserialize<'de>>(root: &Value, pointer: &str, path: &Path) -> Result<Vec<T>> {
+fn parse_array<T: for<'de> Deserialize<'de>>(root: &Value, pointer: &str, path: &Path) -> Result<Vec<T>> {
     let elements = match root.pointer(pointer) {
         None => return Ok(Vec::new()),
         Some(Value::Array(elements)) => elements,
-        Some(_) => return Err(fault(path, pointer, "is not an array")),
+        Some(_) => return Err(error_at(path, pointer, "is not an array")),
     };
     let parse = |(i, element)| {
-        T::deserialize(element).map_err(|e: serde_json::Error| fault(path, format!("{pointer}/{i}"), e.to_string()))
+        T::deserialize(element).map_err(|e: serde_json::Error| error_at(path, format!("{pointer}/{i}"), e.to_string()))
     };
     elements.iter().enumerate().map(parse).collect()
 }
 
 /// Rewrites whole numbers written as "1.0" or "1e0", which JSON does not tell from "1" but serde does; and drops the
 /// application's own `extras`, which may be anything, but which the crate's types take for objects.
-fn simplify(root: &mut Value) {
+fn normalize_numbers_and_drop_extras(root: &mut Value) {
     const LARGEST_EXACT: f64 = (1_u64 << f64::MANTISSA_DIGITS) as f64;
     let mut pending = vec![root];
     while let Some(value) = pending.pop() {
@@ -146,15 +146,15 @@ fn add_empty_lists(root: &mut Value) {
 /// Only the major version matters, for minor versions are backward compatible; unless the file says which one it needs.
 fn check_version(root: &Value, path: &Path) -> Result<()> {
     let Some(Value::String(version)) = root.pointer("/asset/version") else {
-        return Err(fault(path, "/asset", "there is no version: this is not a glTF 2.0 file"));
+        return Err(error_at(path, "/asset", "there is no version: this is not a glTF 2.0 file"));
     };
     if !matches!(parse_version(version), Some((2, _))) {
-        return Err(fault(path, "/asset/version", format!("is {version:?}; only glTF 2 is known")));
+        return Err(error_at(path, "/asset/version", format!("is {version:?}; only glTF 2 is known")));
     }
     match root.pointer("/asset/minVersion") {
         None => Ok(()),
         Some(least) if least.as_str().and_then(parse_version).is_some_and(|least| least <= (2, 0)) => Ok(()),
-        Some(least) => Err(fault(path, "/asset/minVersion", format!("is {least}; glTF 2.0 is the newest known"))),
+        Some(least) => Err(error_at(path, "/asset/minVersion", format!("is {least}; glTF 2.0 is the newest known"))),
     }
 }
 
@@ -166,7 +166,8 @@ fn parse_version(version: &str) -> Option<(u32, u32)> {
 
 fn check_required_extensions(root: &Value, path: &Path) -> Result<()> {
     let Some(required) = root.get("extensionsRequired") else { return Ok(()) };
-    let names = Vec::<String>::deserialize(required).map_err(|e| fault(path, "/extensionsRequired", e.to_string()))?;
+    let names =
+        Vec::<String>::deserialize(required).map_err(|e| error_at(path, "/extensionsRequired", e.to_string()))?;
     match names.into_iter().find(|name| !EXTENSIONS.contains(&name.as_str())) {
         None => Ok(()),
         Some(extension) => Err(Error::UnsupportedExtension { path: path.into(), extension }),
@@ -179,7 +180,7 @@ fn transforms(root: &Value, path: &Path) -> Result<Vec<Transform>> {
     nodes
         .iter()
         .enumerate()
-        .map(|(i, node)| transform(node).map_err(|e| fault(path, format!("/nodes/{i}"), e)))
+        .map(|(i, node)| transform(node).map_err(|e| error_at(path, format!("/nodes/{i}"), e)))
         .collect()
 }
 
@@ -236,7 +237,7 @@ mod tests {
     #[test]
     fn whole_numbers_are_integers_however_written() {
         let mut value = serde_json::from_str(r#"{"a": [1.0, 2e0, 30e-1, -4.0, 0.5, 1e300], "extras": 42}"#).unwrap();
-        simplify(&mut value);
+        normalize_numbers_and_drop_extras(&mut value);
         assert_eq!(value.to_string(), r#"{"a":[1,2,3,-4,0.5,1e+300]}"#);
     }
 

@@ -1,6 +1,6 @@
 //! From a mesh primitive to a [`Geometry`].
 //!
-//! A [`Recipe`] says which accessors make a geometry, and how. Primitives with equal recipes share one geometry, however many meshes
+//! A [`GeometrySource`] says which accessors make a geometry, and how. Primitives with equal recipes share one geometry, however many meshes
 //! they are in and whatever their materials.
 
 use std::sync::Arc;
@@ -12,14 +12,14 @@ use json::validation::Checked::Valid;
 
 use super::accessor::Selection;
 use super::format::{Component, Format};
-use super::topology::{Topology, compact};
+use super::topology::{Topology, compact_vertices};
 use super::{Accessors, Budget, Document, Pose, normals};
 use crate::Result;
 use crate::graph::Geometry;
 
 /// Which accessors make a geometry. Accessors with the same content have the same number here.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub(super) struct Recipe {
+pub(super) struct GeometrySource {
     topology: Topology,
     indices: Option<usize>,
     positions: usize,
@@ -30,7 +30,7 @@ pub(super) struct Recipe {
 }
 
 /// Why a primitive makes no geometry.
-pub(super) enum Skip {
+pub(super) enum SkipReason {
     /// It is made of these: "points".
     NotTriangles(&'static str),
     /// It has no positions: an extension would have to make them.
@@ -41,7 +41,7 @@ pub(super) enum Skip {
     NoData,
 }
 
-impl Recipe {
+impl GeometrySource {
     /// The recipe of a primitive, checked against its accessors' formats and lengths but not their data. `same_as` names equal accessors.
     /// `pointer` is the primitive, for messages.
     pub(super) fn new(
@@ -50,15 +50,15 @@ impl Recipe {
         same_as: &[usize],
         primitive: &json::mesh::Primitive,
         pointer: &str,
-    ) -> Result<Result<Self, Skip>> {
+    ) -> Result<Result<Self, SkipReason>> {
         let Valid(mode) = primitive.mode else {
             return Err(document.fault(format!("{pointer}/mode"), "is no mode that glTF knows"));
         };
-        let Some(topology) = Topology::of(mode) else { return Ok(Err(Skip::NotTriangles(mode_name(mode)))) };
+        let Some(topology) = Topology::of(mode) else { return Ok(Err(SkipReason::NotTriangles(mode_name(mode)))) };
         let attribute = |semantic| primitive.attributes.get(&Valid(semantic)).map(|index| same_as[index.value()]);
-        let Some(positions) = attribute(Semantic::Positions) else { return Ok(Err(Skip::NoPositions)) };
+        let Some(positions) = attribute(Semantic::Positions) else { return Ok(Err(SkipReason::NoPositions)) };
         if !all_accessors(primitive).all(|index| accessors.get(index).has_data()) {
-            return Ok(Err(Skip::NoData));
+            return Ok(Err(SkipReason::NoData));
         }
         let recipe = Self {
             topology,
@@ -71,11 +71,11 @@ impl Recipe {
         };
         recipe.check_formats(document, accessors)?;
         recipe.check_counts(document, accessors, pointer)?;
-        Ok(if recipe.triangle_count(accessors) == 0 { Err(Skip::NoTriangles) } else { Ok(recipe) })
+        Ok(if recipe.triangle_count(accessors) == 0 { Err(SkipReason::NoTriangles) } else { Ok(recipe) })
     }
 
     /// The same recipe with morph targets and skin applied.
-    pub(super) fn posed(self, pose: Pose) -> Self {
+    pub(super) fn with_pose(self, pose: Pose) -> Self {
         Self { pose, ..self }
     }
 
@@ -95,7 +95,7 @@ impl Recipe {
     }
 
     /// The accessors that decide whether its indices are in range: two recipes with equal answers need one check.
-    pub(super) fn index_source(&self) -> Option<(usize, usize)> {
+    pub(super) fn index_check_key(&self) -> Option<(usize, usize)> {
         self.indices.map(|indices| (indices, self.positions))
     }
 
@@ -106,7 +106,7 @@ impl Recipe {
         self.read_indices(document, accessors).map(drop)
     }
 
-    /// Charges the budget for everything that [`make`](Self::make) allocates, as if it held all of it at once.
+    /// Charges the budget for everything that [`build`](Self::build) allocates, as if it held all of it at once.
     pub(super) fn charge(
         &self,
         document: &Document,
@@ -122,11 +122,11 @@ impl Recipe {
         budget.charge(index_count, size_of::<u32>(), document, object)?;
         budget.charge(self.triangle_count(accessors), triangle_size, document, object)?;
         budget.charge(vertex_count.min(index_count), self.bytes_per_vertex(), document, object)?;
-        // The bits and ranks of `compact`: 12 bytes for 64 vertices.
+        // The bits and ranks of `compact_vertices`: 12 bytes for 64 vertices.
         budget.charge(vertex_count / 4, 1, document, object)
     }
 
-    /// What [`make`](Self::make) allocates for a used vertex, at most. Every stream is there twice: as read, and as kept.
+    /// What [`build`](Self::build) allocates for a used vertex, at most. Every stream is there twice: as read, and as kept.
     fn bytes_per_vertex(&self) -> usize {
         let selection = size_of::<u32>();
         let positions = 2 * size_of::<Vec3>();
@@ -138,7 +138,7 @@ impl Recipe {
     }
 
     /// Reads the accessors and makes the geometry. `palettes` are the joint matrices that the pose refers to. O(indices).
-    pub(super) fn make(
+    pub(super) fn build(
         &self,
         document: &Document,
         accessors: &Accessors,
@@ -146,8 +146,8 @@ impl Recipe {
     ) -> Result<Geometry> {
         // 1. Which vertices are used.
         let mut indices = self.read_indices(document, accessors)?;
-        let used = compact(&mut indices, accessors.get(self.positions).count);
-        let selection = used.as_deref().map_or(Selection::All, Selection::Only);
+        let used = compact_vertices(&mut indices, accessors.get(self.positions).count);
+        let selection = used.as_deref().map_or(Selection::All, Selection::Indices);
         let triangles = self.topology.triangles(&indices);
 
         // 2. Their attributes.
@@ -171,7 +171,7 @@ impl Recipe {
             normals: normals.map(Arc::from),
             tex_coords: tex_coords.map(|set| set.map(Arc::from)),
             colors: colors.map(Arc::from),
-            structure: None,
+            blas_kind: None,
         })
     }
 
@@ -204,7 +204,7 @@ impl Recipe {
     fn check_formats(&self, document: &Document, accessors: &Accessors) -> Result<()> {
         let require = |index: Option<usize>, role: &str, expected: &str, accepts: fn(Format) -> bool| match index {
             None => Ok(()),
-            Some(index) => accessors.get(index).require(document, role, expected, accepts).map(drop),
+            Some(index) => accessors.get(index).require_format(document, role, expected, accepts).map(drop),
         };
         // KHR_mesh_quantization allows integers for all but colours; they are accepted whether or not the file declares it.
         require(Some(self.positions), "POSITION", "VEC3 of floats, bytes or shorts", |f| {
@@ -263,7 +263,7 @@ pub(super) fn check_vertex_count(
 /// Linear RGBA, each in 0 to 1; opaque where the file has RGB.
 fn read_colors(document: &Document, accessors: &Accessors, index: usize, selection: Selection) -> Result<Vec<Vec4>> {
     let elements = accessors.get(index);
-    let format = elements.require(document, "COLOR_0", "VEC3 or VEC4", |f| f.is_vector(3) || f.is_vector(4))?;
+    let format = elements.require_format(document, "COLOR_0", "VEC3 or VEC4", |f| f.is_vector(3) || f.is_vector(4))?;
     let mut colors: Vec<Vec4> = if format.is_vector(4) {
         elements.floats(document, selection)?
     } else {

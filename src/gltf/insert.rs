@@ -2,20 +2,20 @@
 
 use std::collections::BTreeMap;
 
-use super::plan::{Content, Plan, PlannedCore, PlannedNode};
-use super::{Document, ImportReport, ImportedObject};
+use super::plan::{ImportPlan, NodeContent, PlannedCore, PlannedNode};
+use super::{Document, ImportReport, ImportedNode};
 use crate::Result;
 use crate::graph::{Core, CoreKey, CoreSource, GeometryKey, MaterialKey, NodeKey, Scene, TextureKey, Transform};
 
 /// The assets that are in the scene so far, in the order of the plan.
 #[derive(Default)]
-struct Added {
+struct AddedAssets {
     textures: Vec<TextureKey>,
     materials: Vec<MaterialKey>,
     geometries: Vec<GeometryKey>,
 }
 
-impl Plan {
+impl ImportPlan {
     /// Adds everything below `parent`. O(nodes + geometry, to check it).
     ///
     /// # Errors
@@ -23,7 +23,7 @@ impl Plan {
     /// was added is removed again.
     pub(super) fn insert(mut self, document: &Document, scene: &mut Scene, parent: NodeKey) -> Result<ImportReport> {
         let root = scene.add(parent, Transform::IDENTITY)?;
-        let mut added = Added::default();
+        let mut added = AddedAssets::default();
         match self.insert_below(document, scene, root, &mut added) {
             Ok(report) => Ok(report),
             Err(error) => {
@@ -40,7 +40,7 @@ impl Plan {
         document: &Document,
         scene: &mut Scene,
         root: NodeKey,
-        added: &mut Added,
+        added: &mut AddedAssets,
     ) -> Result<ImportReport> {
         scene.set_name(root, std::mem::take(&mut self.name))?;
         let mut report = self.empty_report(document, root);
@@ -50,8 +50,8 @@ impl Plan {
         let mut keys = Vec::with_capacity(self.nodes.len());
         for node in &self.nodes {
             let source: CoreSource = match node.content {
-                Content::Transform(transform) => transform.into(),
-                Content::Core(core) => match (cores[core], self.cores[core]) {
+                NodeContent::Transform(transform) => transform.into(),
+                NodeContent::Core(core) => match (cores[core], self.cores[core]) {
                     (Some(key), _) => key.into(),
                     (None, PlannedCore::Camera(camera, _)) => camera.into(),
                     (None, PlannedCore::Light(light, _)) => light.into(),
@@ -63,7 +63,7 @@ impl Plan {
             };
             let key = scene.add(node.parent.map_or(root, |parent| keys[parent]), source)?;
             keys.push(key);
-            if let Content::Core(core) = node.content {
+            if let NodeContent::Core(core) = node.content {
                 cores[core] = Some(scene.core_key(key)?);
             }
             if !node.name.is_empty() {
@@ -76,7 +76,7 @@ impl Plan {
     }
 
     /// Notes each asset as it is added, so that those are known if a later one fails.
-    fn insert_assets(&mut self, scene: &mut Scene, added: &mut Added) -> Result<()> {
+    fn insert_assets(&mut self, scene: &mut Scene, added: &mut AddedAssets) -> Result<()> {
         for texture in self.textures.drain(..) {
             added.textures.push(scene.add_texture(texture)?);
         }
@@ -103,7 +103,7 @@ impl Plan {
             scenes: document.scenes.iter().map(|scene| scene.name.clone().unwrap_or_default()).collect(),
             scene: self.scene,
             counts,
-            not_honoured: std::mem::take(&mut self.notes.list),
+            warnings: std::mem::take(&mut self.notes.list),
             names: BTreeMap::new(),
         }
     }
@@ -115,7 +115,7 @@ impl Plan {
                 report.names.entry(node.name.clone()).or_insert(key);
             }
         }
-        let Content::Core(core) = node.content else { return };
+        let NodeContent::Core(core) = node.content else { return };
         let (list, index) = match self.cores[core] {
             PlannedCore::Camera(_, index) => (&mut report.cameras, index),
             PlannedCore::Light(_, index) => (&mut report.lights, index),
@@ -123,7 +123,7 @@ impl Plan {
         };
         let parent_name = || node.parent.map(|parent| self.nodes[parent].name.clone()).unwrap_or_default();
         let name = if node.name.is_empty() { parent_name() } else { node.name.clone() };
-        list.push(ImportedObject { name, index, node: key });
+        list.push(ImportedNode { name, index, node: key });
     }
 }
 
@@ -138,7 +138,7 @@ mod tests {
     use crate::graph::{Camera, Geometry, Texture};
 
     /// A step of the insertion, and what makes it fail.
-    type Break = (&'static str, fn(&mut Plan));
+    type Break = (&'static str, fn(&mut ImportPlan));
 
     /// One triangle (of zeros) with a texture.
     const JSON: &[u8] = br#"{
@@ -157,12 +157,13 @@ mod tests {
     fn whatever_fails_nothing_stays_and_the_caller_s_unused_assets_do() {
         let document = Document::parse(JSON, Path::new("file.gltf")).unwrap();
         let buffers = Buffers::load(&document, None).unwrap();
-        let bad_texture = |plan: &mut Plan| plan.textures.push(Texture { width: 1, height: 1, texels: [].into() });
-        let bad_geometry = |plan: &mut Plan| plan.geometries.push(triangle(Vec3::NAN));
-        let bad_node = |plan: &mut Plan| {
+        let bad_texture =
+            |plan: &mut ImportPlan| plan.textures.push(Texture { width: 1, height: 1, texels: [].into() });
+        let bad_geometry = |plan: &mut ImportPlan| plan.geometries.push(triangle(Vec3::NAN));
+        let bad_node = |plan: &mut ImportPlan| {
             plan.geometries.push(triangle(Vec3::ZERO));
             plan.cores.push(PlannedCore::Camera(Camera::perspective(-1.0), 0));
-            let content = Content::Core(plan.cores.len() - 1);
+            let content = NodeContent::Core(plan.cores.len() - 1);
             plan.nodes.push(PlannedNode { parent: None, name: String::new(), content, visible: true, file_node: None });
         };
         let counts =
@@ -173,7 +174,7 @@ mod tests {
         let before = counts(&scene);
         let breaks: [Break; 3] = [("texture", bad_texture), ("geometry", bad_geometry), ("node", bad_node)];
         for (step, break_plan) in breaks {
-            let mut plan = Plan::new(&document, &buffers, &ImportOptions::default(), 0).unwrap();
+            let mut plan = ImportPlan::new(&document, &buffers, &ImportOptions::default(), 0).unwrap();
             assert_eq!((plan.geometries.len(), plan.materials.len(), plan.textures.len()), (1, 1, 1));
             break_plan(&mut plan);
             let root = scene.root();

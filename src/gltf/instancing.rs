@@ -5,7 +5,7 @@ use serde_json::Value;
 
 use super::accessor::Selection;
 use super::format::{Component, Format};
-use super::notes::Notes;
+use super::warnings::Warnings;
 use super::{Accessors, Budget, Document};
 use crate::Result;
 use crate::graph::Transform;
@@ -18,7 +18,7 @@ pub(super) fn transforms(
     accessors: &Accessors,
     budget: &mut Budget,
     node: usize,
-    notes: &mut Notes,
+    notes: &mut Warnings,
 ) -> Result<Option<Vec<Transform>>> {
     let Some(extension) = document.node_extension(node, EXTENSION) else { return Ok(None) };
     let pointer = format!("/nodes/{node}/extensions/{EXTENSION}");
@@ -46,7 +46,7 @@ pub(super) fn transforms(
                 continue;
             }
         };
-        elements.require(document, name, expected, accepts)?;
+        elements.require_format(document, name, expected, accepts)?;
         *slot = Some(index);
     }
 

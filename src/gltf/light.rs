@@ -8,12 +8,12 @@ use json::extensions::scene::khr_lights_punctual::Type;
 use json::validation::Checked::{Invalid, Valid};
 
 use super::Document;
-use super::notes::Notes;
+use super::warnings::Warnings;
 use crate::Result;
 use crate::graph::{Light, LightKind};
 
 /// The light with this index in the file; `None` if it is of a type that the extension does not know.
-pub(super) fn convert(document: &Document, index: usize, notes: &mut Notes) -> Result<Option<Light>> {
+pub(super) fn convert(document: &Document, index: usize, notes: &mut Warnings) -> Result<Option<Light>> {
     let light = &document.lights[index];
     let pointer = format!("/extensions/KHR_lights_punctual/lights/{index}");
     let kind = match light.type_ {
@@ -66,7 +66,7 @@ fn spot(
     document: &Document,
     spot: Option<&json::extensions::scene::khr_lights_punctual::Spot>,
     pointer: &str,
-    notes: &mut Notes,
+    notes: &mut Warnings,
 ) -> Result<LightKind> {
     let Some(spot) = spot else { return Err(document.fault(pointer, "is a spot light without spot properties")) };
     let (inner, outer) = (spot.inner_cone_angle, spot.outer_cone_angle);

@@ -8,10 +8,10 @@ use json::texture::{MagFilter, WrappingMode};
 use json::validation::Checked::{Invalid, Valid};
 
 use super::Document;
-use super::notes::Notes;
-use super::texture::Images;
+use super::texture::ImageRequests;
+use super::warnings::Warnings;
 use crate::Result;
-use crate::graph::{AlphaMode, Filter, Material, Sampler, TextureKey, TextureRef, Wrap};
+use crate::graph::{AlphaMode, FilterMode, Material, Sampler, TextureKey, TextureRef, WrapMode};
 
 /// A material whose textures are not in the scene yet.
 pub(super) struct PlannedMaterial {
@@ -34,10 +34,10 @@ struct PlannedTexture {
 }
 
 /// Turns the materials of one document, and notes what is lost.
-pub(super) struct Converter<'a, 'd> {
+pub(super) struct MaterialConverter<'a, 'd> {
     pub(super) document: &'d Document<'d>,
-    pub(super) images: &'a mut Images<'d>,
-    pub(super) notes: &'a mut Notes,
+    pub(super) images: &'a mut ImageRequests<'d>,
+    pub(super) notes: &'a mut Warnings,
 }
 
 impl PlannedMaterial {
@@ -80,7 +80,7 @@ impl PlannedMaterial {
     }
 }
 
-impl<'d> Converter<'_, 'd> {
+impl<'d> MaterialConverter<'_, 'd> {
     /// Converts the material with this index in the file.
     pub(super) fn convert(&mut self, index: usize) -> Result<PlannedMaterial> {
         const UNIT: RangeInclusive<f32> = 0.0..=1.0;
@@ -89,7 +89,7 @@ impl<'d> Converter<'_, 'd> {
         let material = &document.materials[index];
         let pbr = &material.pbr_metallic_roughness;
         let pointer = format!("/materials/{index}");
-        let mut number = |what: &str, value: f32, range| self.within(&pointer, what, value, range);
+        let mut number = |what: &str, value: f32, range| self.clamp_with_warning(&pointer, what, value, range);
 
         let mut base_color = Vec4::from(pbr.base_color_factor.0);
         for value in base_color.as_mut() {
@@ -180,7 +180,7 @@ impl<'d> Converter<'_, 'd> {
     }
 
     /// The nearest number in a range; a note where it is another one.
-    fn within(&mut self, pointer: &str, what: &str, value: f32, range: RangeInclusive<f32>) -> Result<f32> {
+    fn clamp_with_warning(&mut self, pointer: &str, what: &str, value: f32, range: RangeInclusive<f32>) -> Result<f32> {
         if !value.is_finite() {
             return Err(self.document.fault(pointer, format!("{what} is beyond the range of numbers")));
         }
@@ -195,13 +195,13 @@ impl<'d> Converter<'_, 'd> {
 
 fn to_sampler(sampler: &json::texture::Sampler) -> Sampler {
     let wrap = |wrap: &json::validation::Checked<WrappingMode>| match wrap {
-        Valid(WrappingMode::ClampToEdge) => Wrap::Clamp,
-        Valid(WrappingMode::MirroredRepeat) => Wrap::Mirror,
-        Valid(WrappingMode::Repeat) | Invalid => Wrap::Repeat,
+        Valid(WrappingMode::ClampToEdge) => WrapMode::Clamp,
+        Valid(WrappingMode::MirroredRepeat) => WrapMode::Mirror,
+        Valid(WrappingMode::Repeat) | Invalid => WrapMode::Repeat,
     };
     let filter = match sampler.mag_filter {
-        Some(Valid(MagFilter::Nearest)) => Filter::Nearest,
-        _ => Filter::Linear,
+        Some(Valid(MagFilter::Nearest)) => FilterMode::Nearest,
+        _ => FilterMode::Linear,
     };
     Sampler { wrap_u: wrap(&sampler.wrap_s), wrap_v: wrap(&sampler.wrap_t), filter }
 }

@@ -25,13 +25,12 @@ mod container;
 mod document;
 mod format;
 mod geometry;
-mod hierarchy;
 mod insert;
 mod instancing;
 mod light;
 mod material;
+mod node_forest;
 mod normals;
-mod notes;
 mod plan;
 mod pose;
 mod primitives;
@@ -41,18 +40,19 @@ mod skin;
 mod texture;
 mod topology;
 mod uri;
+mod warnings;
 
 use std::path::Path;
 
-pub use report::{ImportCounts, ImportReport, ImportedObject, NotHonoured};
+pub use report::{ImportCounts, ImportReport, ImportWarning, ImportedNode};
 
 use accessor::Accessors;
 use budget::Budget;
 use buffers::Buffers;
 use container::Container;
 use document::Document;
-use hierarchy::Hierarchy;
-use plan::Plan;
+use node_forest::NodeForest;
+use plan::ImportPlan;
 use pose::Pose;
 
 use crate::graph::{NodeKey, Scene};
@@ -62,12 +62,12 @@ use crate::{Error, Result};
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ImportOptions {
     /// Which of the file's scenes. By default the file's default scene, or else its first; all nodes, if the file has no scene.
-    pub scene: Option<SceneChoice>,
+    pub scene: Option<SceneSelector>,
 }
 
 /// One of a file's scenes.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum SceneChoice {
+pub enum SceneSelector {
     /// By its index in the file.
     Index(usize),
     /// By its name: the first that has it.
@@ -116,14 +116,14 @@ pub fn import_with(
 ) -> Result<ImportReport> {
     let path = path.as_ref();
     let bytes = uri::read_file(path, u64::MAX).map_err(|source| Error::Io { path: path.into(), source })?;
-    import_slice(&bytes, path, options, scene, parent)
+    import_from_slice(&bytes, path, options, scene, parent)
 }
 
 /// As [`import_with`], from the bytes of a file. `path` is its name in messages, and where its external files are looked for; it is not read.
 ///
 /// # Errors
 /// As [`import_with`].
-pub fn import_slice(
+pub fn import_from_slice(
     bytes: &[u8],
     path: &Path,
     options: &ImportOptions,
@@ -134,11 +134,11 @@ pub fn import_slice(
     let document = Document::parse(container.json, path)?;
     let buffers = Buffers::load(&document, container.bin)?;
     let bytes_read = bytes.len() as u64 + buffers.external_bytes;
-    Plan::new(&document, &buffers, options, bytes_read)?.insert(&document, scene, parent)
+    ImportPlan::new(&document, &buffers, options, bytes_read)?.insert(&document, scene, parent)
 }
 
 /// An error about an object of a file, by its JSON pointer; the empty pointer is the file itself.
-fn fault(path: &Path, object: impl Into<String>, cause: impl Into<String>) -> Error {
+fn error_at(path: &Path, object: impl Into<String>, cause: impl Into<String>) -> Error {
     let mut object = object.into();
     if object.is_empty() {
         object = "the file".into();

@@ -10,7 +10,7 @@ pub(super) const BYTES_PER_NORMAL: usize = size_of::<DVec3>();
 pub(super) fn normalize(normals: &mut [Vec3], positions: &[Vec3], triangles: &[[u32; 3]]) {
     let mut any_zero = false;
     for normal in normals.iter_mut() {
-        *normal = direction(normal.as_dvec3()).unwrap_or_else(|| {
+        *normal = try_unit_vector(normal.as_dvec3()).unwrap_or_else(|| {
             any_zero = true;
             Vec3::ZERO
         });
@@ -26,12 +26,12 @@ pub(super) fn normalize(normals: &mut [Vec3], positions: &[Vec3], triangles: &[[
         }
     }
     for (normal, sum) in normals.iter_mut().zip(sums).filter(|(normal, _)| **normal == Vec3::ZERO) {
-        *normal = direction(sum).unwrap_or(Vec3::Z);
+        *normal = try_unit_vector(sum).unwrap_or(Vec3::Z);
     }
 }
 
 /// The unit vector in a direction. In f64 the square of an f32's length neither overflows nor vanishes.
-pub(super) fn direction(v: DVec3) -> Option<Vec3> {
+pub(super) fn try_unit_vector(v: DVec3) -> Option<Vec3> {
     v.try_normalize().map(DVec3::as_vec3)
 }
 

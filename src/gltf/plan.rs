@@ -5,13 +5,13 @@ use std::collections::HashMap;
 use ::gltf::json::Index;
 use serde_json::Value;
 
-use super::hierarchy::children;
-use super::material::{Converter, PlannedMaterial};
-use super::notes::Notes;
-use super::primitives::{Primitives, Shown};
-use super::texture::Images;
+use super::material::{MaterialConverter, PlannedMaterial};
+use super::node_forest::children;
+use super::primitives::{PrimitiveRequests, PrimitiveUse};
+use super::texture::ImageRequests;
+use super::warnings::Warnings;
 use super::{
-    Accessors, Budget, Buffers, Document, ImportCounts, ImportOptions, SceneChoice, camera, instancing, light,
+    Accessors, Budget, Buffers, Document, ImportCounts, ImportOptions, SceneSelector, camera, instancing, light,
 };
 use crate::Result;
 use crate::graph::{Camera, Geometry, Light, Texture, Transform};
@@ -20,7 +20,7 @@ use crate::graph::{Camera, Geometry, Light, Texture, Transform};
 const BYTES_PER_NODE: usize = 512;
 
 /// What an import will add, in the order of addition.
-pub(super) struct Plan {
+pub(super) struct ImportPlan {
     /// The name of the root node.
     pub(super) name: String,
     /// The index of the glTF scene.
@@ -32,7 +32,7 @@ pub(super) struct Plan {
     pub(super) materials: Vec<PlannedMaterial>,
     pub(super) textures: Vec<Texture>,
     pub(super) counts: ImportCounts,
-    pub(super) notes: Notes,
+    pub(super) notes: Warnings,
 }
 
 /// A node to be added.
@@ -40,7 +40,7 @@ pub(super) struct PlannedNode {
     /// An earlier node; `None` for the import's root.
     pub(super) parent: Option<usize>,
     pub(super) name: String,
-    pub(super) content: Content,
+    pub(super) content: NodeContent,
     pub(super) visible: bool,
     /// The index of the node in the file, for a node of the file.
     pub(super) file_node: Option<usize>,
@@ -48,17 +48,17 @@ pub(super) struct PlannedNode {
 
 /// What a node is.
 #[derive(Clone, Copy)]
-pub(super) enum Content {
+pub(super) enum NodeContent {
     /// A transform of its own.
     Transform(Transform),
-    /// One of [`Plan::cores`], which other nodes may share.
+    /// One of [`ImportPlan::cores`], which other nodes may share.
     Core(usize),
 }
 
 /// A core that nodes share.
 #[derive(Clone, Copy)]
 pub(super) enum PlannedCore {
-    /// Indices into [`Plan::geometries`] and [`Plan::materials`].
+    /// Indices into [`ImportPlan::geometries`] and [`ImportPlan::materials`].
     Geometry { geometry: usize, material: usize },
     /// A camera and its index in the file.
     Camera(Camera, usize),
@@ -74,7 +74,7 @@ enum CoreIdentity {
     Light(usize),
 }
 
-impl Plan {
+impl ImportPlan {
     /// Plans the import of a document. O(data used).
     pub(super) fn new(
         document: &Document,
@@ -83,16 +83,16 @@ impl Plan {
         bytes_read: u64,
     ) -> Result<Self> {
         let mut budget = Budget::new(bytes_read);
-        let mut notes = Notes::of(document);
+        let mut notes = Warnings::of(document);
         let accessors = Accessors::new(document, buffers, &mut budget)?;
-        let primitives = Primitives::new(document, buffers, &accessors, &mut notes)?;
+        let primitives = PrimitiveRequests::new(document, buffers, &accessors, &mut notes)?;
 
         let scene = choose_scene(document, options)?;
         let mut planner = Planner {
             document,
             accessors: &accessors,
             primitives,
-            images: Images::default(),
+            images: ImageRequests::default(),
             scene_from_node: document.hierarchy.scene_from_node(&document.transforms),
             budget,
             notes,
@@ -118,7 +118,7 @@ impl Plan {
             mut counts,
             ..
         } = planner;
-        let geometries = primitives.make(document, &accessors, &mut budget)?;
+        let geometries = primitives.build(document, &accessors, &mut budget)?;
         let textures = images.decode(document, buffers, bytes_read, &mut notes)?;
         counts.mesh_triangles = mesh_triangles.values().sum();
         counts.geometry_triangles = geometries.iter().map(|g| g.indices.len() as u64).sum();
@@ -132,11 +132,11 @@ impl Plan {
 fn choose_scene(document: &Document, options: &ImportOptions) -> Result<Option<usize>> {
     let count = document.scenes.len();
     match &options.scene {
-        Some(SceneChoice::Index(index)) if *index < count => Ok(Some(*index)),
-        Some(SceneChoice::Index(index)) => {
+        Some(SceneSelector::Index(index)) if *index < count => Ok(Some(*index)),
+        Some(SceneSelector::Index(index)) => {
             Err(document.fault("/scenes", format!("there is no scene {index}: there are {count}")))
         }
-        Some(SceneChoice::Name(name)) => {
+        Some(SceneSelector::Name(name)) => {
             let found = document.scenes.iter().position(|scene| scene.name.as_ref() == Some(name));
             let names = || document.scenes.iter().filter_map(|s| s.name.as_deref()).collect::<Vec<_>>().join(", ");
             let missing = || {
@@ -156,11 +156,11 @@ fn choose_scene(document: &Document, options: &ImportOptions) -> Result<Option<u
 struct Planner<'a, 'd> {
     document: &'d Document<'d>,
     accessors: &'a Accessors<'a>,
-    primitives: Primitives,
-    images: Images<'d>,
+    primitives: PrimitiveRequests,
+    images: ImageRequests<'d>,
     scene_from_node: Vec<glam::DAffine3>,
     budget: Budget,
-    notes: Notes,
+    notes: Warnings,
     nodes: Vec<PlannedNode>,
     cores: Vec<PlannedCore>,
     core_slots: HashMap<CoreIdentity, usize>,
@@ -196,7 +196,7 @@ impl Planner<'_, '_> {
             return Err(document.fault(format!("/nodes/{node}"), "its transform is beyond the range of numbers"));
         }
         let name = source.name.as_deref().unwrap_or_default();
-        let place = self.push(parent, name, Content::Transform(transform))?;
+        let place = self.add_node(parent, name, NodeContent::Transform(transform))?;
         self.nodes[place].file_node = Some(node);
         self.nodes[place].visible = is_visible(document, node);
         self.counts.file_nodes += 1;
@@ -233,14 +233,16 @@ impl Planner<'_, '_> {
         match instances {
             None => {
                 self.counts.scene_triangles += triangles;
-                cores.into_iter().try_for_each(|core| self.push(Some(place), name, Content::Core(core)).map(drop))
+                cores
+                    .into_iter()
+                    .try_for_each(|core| self.add_node(Some(place), name, NodeContent::Core(core)).map(drop))
             }
             Some(instances) => {
                 self.counts.scene_triangles += triangles * instances.len() as u64;
                 for transform in instances {
-                    let instance = self.push(Some(place), "", Content::Transform(transform))?;
+                    let instance = self.add_node(Some(place), "", NodeContent::Transform(transform))?;
                     for &core in &cores {
-                        self.push(Some(instance), name, Content::Core(core))?;
+                        self.add_node(Some(instance), name, NodeContent::Core(core))?;
                     }
                 }
                 Ok(())
@@ -249,15 +251,15 @@ impl Planner<'_, '_> {
     }
 
     /// The core of a primitive: its geometry, and its material in the file.
-    fn geometry_core(&mut self, mesh: usize, shown: &Shown) -> Result<usize> {
-        let &Shown { geometry, primitive, .. } = shown;
+    fn geometry_core(&mut self, mesh: usize, shown: &PrimitiveUse) -> Result<usize> {
+        let &PrimitiveUse { geometry, primitive, .. } = shown;
         let identity = CoreIdentity::Primitive { mesh, primitive, geometry };
         if let Some(&core) = self.core_slots.get(&identity) {
             return Ok(core);
         }
         let source = &self.document.meshes[mesh].primitives[primitive];
         let material = self.material(source.material.as_ref().map(Index::value))?;
-        self.note_what_the_material_misses(mesh, shown, material);
+        self.warn_of_missing_attributes(mesh, shown, material);
         Ok(self.add_core(identity, PlannedCore::Geometry { geometry, material }))
     }
 
@@ -269,7 +271,7 @@ impl Planner<'_, '_> {
             None => PlannedMaterial::gltf_default(),
             Some(index) => {
                 let (images, notes) = (&mut self.images, &mut self.notes);
-                Converter { document: self.document, images, notes }.convert(index)?
+                MaterialConverter { document: self.document, images, notes }.convert(index)?
             }
         };
         self.materials.push(material);
@@ -277,7 +279,7 @@ impl Planner<'_, '_> {
         Ok(self.materials.len() - 1)
     }
 
-    fn note_what_the_material_misses(&mut self, mesh: usize, shown: &Shown, material: usize) {
+    fn warn_of_missing_attributes(&mut self, mesh: usize, shown: &PrimitiveUse, material: usize) {
         use ::gltf::json::{mesh::Semantic, validation::Checked::Valid};
 
         let material = &self.materials[material];
@@ -304,7 +306,7 @@ impl Planner<'_, '_> {
             },
         };
         let name = self.document.cameras[camera].name.as_deref().unwrap_or_default();
-        self.push(Some(place), name, Content::Core(core)).map(drop)
+        self.add_node(Some(place), name, NodeContent::Core(core)).map(drop)
     }
 
     fn plan_light(&mut self, light: usize, place: usize) -> Result<()> {
@@ -317,7 +319,7 @@ impl Planner<'_, '_> {
             },
         };
         let name = self.document.lights[light].name.as_deref().unwrap_or_default();
-        self.push(Some(place), name, Content::Core(core)).map(drop)
+        self.add_node(Some(place), name, NodeContent::Core(core)).map(drop)
     }
 
     fn add_core(&mut self, identity: CoreIdentity, core: PlannedCore) -> usize {
@@ -326,7 +328,7 @@ impl Planner<'_, '_> {
         self.cores.len() - 1
     }
 
-    fn push(&mut self, parent: Option<usize>, name: &str, content: Content) -> Result<usize> {
+    fn add_node(&mut self, parent: Option<usize>, name: &str, content: NodeContent) -> Result<usize> {
         self.budget.charge(1, BYTES_PER_NODE + name.len(), self.document, || "/nodes".into())?;
         self.nodes.push(PlannedNode { parent, name: name.into(), content, visible: true, file_node: None });
         Ok(self.nodes.len() - 1)

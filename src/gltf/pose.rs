@@ -111,7 +111,7 @@ impl Pose {
     fn check(&self, document: &Document, accessors: &Accessors, positions: usize, pointer: &str) -> Result<()> {
         let vertex_count = accessors.get(positions).count;
         let require = |index: usize, role: &str, expected: &str, accepts: fn(Format) -> bool| {
-            accessors.get(index).require(document, role, expected, accepts)?;
+            accessors.get(index).require_format(document, role, expected, accepts)?;
             check_vertex_count(document, accessors, index, vertex_count, pointer)
         };
         for index in self.morphs.iter().flat_map(|morph| [morph.positions, morph.normals]).flatten() {
@@ -148,11 +148,11 @@ impl Skin {
             let influences = sets.iter().flat_map(|(joints, weights)| {
                 joints[vertex].iter().zip(weights[vertex].to_array()).map(|(&joint, w)| (&palette[joint as usize], w))
             });
-            let Some(matrix) = blend(influences) else { continue };
+            let Some(matrix) = blend_joint_matrices(influences) else { continue };
             *position = matrix.transform_point3(position.as_dvec3()).as_vec3();
             if let Some(normals) = normals.as_deref_mut() {
                 let normal = cofactor(&matrix.matrix3) * normals[vertex].as_dvec3();
-                normals[vertex] = normals::direction(normal).unwrap_or(Vec3::ZERO);
+                normals[vertex] = normals::try_unit_vector(normal).unwrap_or(Vec3::ZERO);
             }
         }
         Ok(())
@@ -186,7 +186,7 @@ pub(super) fn check_joints(
     budget: &mut Budget,
 ) -> Result<()> {
     let elements = accessors.get(index);
-    elements.require(document, "JOINTS", "VEC4 of unsigned bytes or shorts", is_joints)?;
+    elements.require_format(document, "JOINTS", "VEC4 of unsigned bytes or shorts", is_joints)?;
     if !elements.has_data() {
         return Ok(());
     }
@@ -213,7 +213,7 @@ fn add_deltas(
 }
 
 /// The mean of matrices by their weights, whatever the weights' sum; `None` if that is not above 0.
-fn blend<'a>(influences: impl Iterator<Item = (&'a DAffine3, f32)>) -> Option<DAffine3> {
+fn blend_joint_matrices<'a>(influences: impl Iterator<Item = (&'a DAffine3, f32)>) -> Option<DAffine3> {
     let (mut matrix, mut total) = (DAffine3::ZERO, 0.0);
     for (joint, weight) in influences.filter(|(_, weight)| *weight > 0.0) {
         let weight = f64::from(weight);
@@ -238,10 +238,10 @@ mod tests {
     #[test]
     fn weights_need_not_sum_to_one() {
         let matrices = [DAffine3::from_translation(DVec3::X), DAffine3::from_translation(DVec3::Y * 3.0)];
-        let blended = blend(matrices.iter().zip([0.5, 1.5])).unwrap();
+        let blended = blend_joint_matrices(matrices.iter().zip([0.5, 1.5])).unwrap();
         assert_eq!(blended.translation, DVec3::new(0.25, 2.25, 0.0));
         assert_eq!(blended.matrix3, DMat3::IDENTITY);
-        assert!(blend(matrices.iter().zip([0.0, -1.0])).is_none());
+        assert!(blend_joint_matrices(matrices.iter().zip([0.0, -1.0])).is_none());
     }
 
     #[test]

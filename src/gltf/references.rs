@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use super::fault;
+use super::error_at;
 use crate::Result;
 
 /// Where indices are, as a JSON pointer in which `*` stands for every element or member, and the array they point into.
@@ -59,16 +59,15 @@ pub(super) fn check(root: &Value, path: &Path) -> Result<()> {
     for (pattern, target) in REFERENCES {
         let length = length_of(target);
         visit_all(pattern, &mut |pointer, index| {
-            check_range(index, length, target).map_err(|cause| fault(path, pointer, cause))
+            check_range(index, length, target).map_err(|cause| error_at(path, pointer, cause))
         })?;
     }
 
     let length = length_of("textures");
     for pattern in MATERIAL_MEMBERS {
         visit_all(pattern, &mut |pointer, member| match member.get("index") {
-            Some(index) if pointer.ends_with("Texture") => {
-                check_range(index, length, "textures").map_err(|cause| fault(path, format!("{pointer}/index"), cause))
-            }
+            Some(index) if pointer.ends_with("Texture") => check_range(index, length, "textures")
+                .map_err(|cause| error_at(path, format!("{pointer}/index"), cause)),
             _ => Ok(()),
         })?;
     }
@@ -77,7 +76,7 @@ pub(super) fn check(root: &Value, path: &Path) -> Result<()> {
     visit_all("animations/*", &mut |pointer, animation| {
         let length = animation.get("samplers").and_then(Value::as_array).map_or(0, Vec::len);
         visit(animation, &["channels", "*", "sampler"], &mut pointer.to_owned(), &mut |pointer, index| {
-            check_range(index, length, "samplers of the animation").map_err(|cause| fault(path, pointer, cause))
+            check_range(index, length, "samplers of the animation").map_err(|cause| error_at(path, pointer, cause))
         })
     })
 }

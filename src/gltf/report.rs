@@ -15,9 +15,9 @@ pub struct ImportReport {
     /// For each node of the file its node in the scene; `None` for nodes outside of the imported glTF scene.
     pub nodes: Vec<Option<NodeKey>>,
     /// The cameras, in the order of their nodes.
-    pub cameras: Vec<ImportedObject>,
+    pub cameras: Vec<ImportedNode>,
     /// The lights, in the order of their nodes.
-    pub lights: Vec<ImportedObject>,
+    pub lights: Vec<ImportedNode>,
     /// The names of the file's scenes, by index; empty where a scene has none.
     pub scenes: Vec<String>,
     /// The index of the scene that was imported; `None` if the file has none, so that all its nodes were.
@@ -25,7 +25,7 @@ pub struct ImportReport {
     /// How much was imported.
     pub counts: ImportCounts,
     /// Every extension and feature that the file uses and the import did not honour, or not to the letter.
-    pub not_honoured: Vec<NotHonoured>,
+    pub warnings: Vec<ImportWarning>,
     /// The first node of each name.
     pub(super) names: BTreeMap<String, NodeKey>,
 }
@@ -51,7 +51,7 @@ impl ImportReport {
 
 /// A camera or a light in the scene.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct ImportedObject {
+pub struct ImportedNode {
     /// Its name in the file or, if it has none, that of the file's node that it is at.
     pub name: String,
     /// Its index in the file. Several nodes may share one camera or light.
@@ -83,23 +83,23 @@ pub struct ImportCounts {
 
 /// Something in a file that an import did not honour, or not to the letter.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct NotHonoured {
+pub struct ImportWarning {
     /// The extension or feature: "`KHR_materials_clearcoat`", "animation".
     pub feature: String,
     /// The JSON pointer of the object that has it: "/materials/3".
-    pub object: String,
+    pub pointer: String,
     /// The object's name; empty if it has none.
     pub name: String,
     /// What was done instead, in words.
-    pub effect: String,
+    pub fallback: String,
 }
 
-impl fmt::Display for NotHonoured {
+impl fmt::Display for ImportWarning {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}", self.object)?;
+        write!(f, "{}", self.pointer)?;
         if !self.name.is_empty() {
             write!(f, " \"{}\"", self.name)?;
         }
-        write!(f, ": {}: {}", self.feature, self.effect)
+        write!(f, ": {}: {}", self.feature, self.fallback)
     }
 }

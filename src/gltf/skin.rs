@@ -4,7 +4,7 @@ use glam::{DAffine3, DMat4};
 
 use super::accessor::Selection;
 use super::format::{Component, Shape};
-use super::notes::Notes;
+use super::warnings::Warnings;
 use super::{Accessors, Budget, Document};
 use crate::Result;
 
@@ -18,7 +18,7 @@ pub(super) fn palette(
     budget: &mut Budget,
     scene_from_node: &[DAffine3],
     (node, skin): (usize, usize),
-    notes: &mut Notes,
+    notes: &mut Warnings,
 ) -> Result<Option<Vec<DAffine3>>> {
     let joints = &document.skins[skin].joints;
     let pointer = || format!("/skins/{skin}");
@@ -48,7 +48,7 @@ fn inverse_bind_matrices(document: &Document, accessors: &Accessors, skin: usize
     let skin_object = &document.skins[skin];
     let Some(index) = skin_object.inverse_bind_matrices else { return Ok(None) };
     let elements = accessors.get(index.value());
-    elements.require(document, "inverseBindMatrices", "MAT4 of floats", |format| {
+    elements.require_format(document, "inverseBindMatrices", "MAT4 of floats", |format| {
         format.shape == Shape::Matrix(4) && format.component == Component::F32
     })?;
     let joint_count = skin_object.joints.len();
@@ -57,7 +57,7 @@ fn inverse_bind_matrices(document: &Document, accessors: &Accessors, skin: usize
         return Err(document.fault(format!("/skins/{skin}"), cause));
     }
     let first: Vec<u32> = (0..joint_count as u32).collect();
-    let matrices: Vec<[f32; 16]> = elements.floats(document, Selection::Only(&first))?;
+    let matrices: Vec<[f32; 16]> = elements.floats(document, Selection::Indices(&first))?;
     let affine = |m: &[f32; 16]| DAffine3::from_mat4(DMat4::from_cols_array(&m.map(f64::from)));
     Ok(Some(matrices.iter().map(affine).collect()))
 }

@@ -7,8 +7,8 @@ use std::io::Cursor;
 use ::image::{ImageFormat, ImageReader, Limits};
 use rayon::prelude::*;
 
-use super::notes::Notes;
-use super::uri::{self, Location};
+use super::uri::{self, UriTarget};
+use super::warnings::Warnings;
 use super::{Buffers, Document};
 use crate::Result;
 use crate::graph::Texture;
@@ -17,7 +17,7 @@ use crate::graph::Texture;
 const MAX_SIDE: u32 = 1 << 14;
 /// Bytes of texels, as they are kept, that are allowed to any file, and for each byte of it: an 8192 x 8192 image of one colour takes a few hundred kB.
 const BASE_TEXEL_BYTES: u64 = 256 << 20;
-const TEXEL_BYTES_PER_BYTE: u64 = 64;
+const MAX_TEXEL_EXPANSION: u64 = 64;
 /// Bytes that an image's metadata may unpack to: a colour profile has some kB, seldom a few MB.
 const METADATA_BYTES: u64 = 16 << 20;
 /// The largest image file that is read.
@@ -25,24 +25,24 @@ const MAX_FILE_BYTES: u64 = 1 << 30;
 
 /// The images that the imported materials use, each once.
 #[derive(Default)]
-pub(super) struct Images<'d> {
+pub(super) struct ImageRequests<'d> {
     /// Index of the image in the file, and of its texture in what [`decode`](Self::decode) returns.
     wanted: Vec<Option<usize>>,
-    slots: HashMap<Source<'d>, usize>,
+    slots: HashMap<ImageSource<'d>, usize>,
 }
 
 /// Where an image is: images with equal sources are one texture.
 #[derive(PartialEq, Eq, Hash)]
-enum Source<'d> {
+enum ImageSource<'d> {
     View(usize),
-    Location(Location<'d>),
-    Nowhere(usize),
-    Nothing,
+    Location(UriTarget<'d>),
+    UnresolvedUri(usize),
+    NoImage,
 }
 
-impl<'d> Images<'d> {
+impl<'d> ImageRequests<'d> {
     /// Asks for the image of a glTF texture; returns the index its texture will have.
-    pub(super) fn request(&mut self, document: &'d Document, texture: usize, notes: &mut Notes) -> usize {
+    pub(super) fn request(&mut self, document: &'d Document, texture: usize, notes: &mut Warnings) -> usize {
         let image = document.textures[texture].source.value();
         let image = (image < document.images.len()).then_some(image);
         let source = match image {
@@ -53,7 +53,7 @@ impl<'d> Images<'d> {
                     format!("/textures/{texture}"),
                     instead("has no image that can be read"),
                 );
-                Source::Nothing
+                ImageSource::NoImage
             }
             Some(i) => source_of(document, i),
         };
@@ -69,7 +69,7 @@ impl<'d> Images<'d> {
         document: &Document,
         buffers: &Buffers,
         bytes_read: u64,
-        notes: &mut Notes,
+        notes: &mut Warnings,
     ) -> Result<Vec<Texture>> {
         // 1. The encoded bytes. An embedded image outside of its buffer is an error; a file that is missing is not.
         let mut encoded = Vec::with_capacity(self.wanted.len());
@@ -79,9 +79,9 @@ impl<'d> Images<'d> {
 
         // 2. Their sizes, against the budget: a few kB can claim to be an image of gigabytes.
         let external: usize = encoded.iter().flatten().flatten().map(|bytes| bytes.len()).sum();
-        let mut budget = BASE_TEXEL_BYTES + TEXEL_BYTES_PER_BYTE.saturating_mul(bytes_read + external as u64);
+        let mut budget = BASE_TEXEL_BYTES + MAX_TEXEL_EXPANSION.saturating_mul(bytes_read + external as u64);
         for bytes in encoded.iter_mut().flatten() {
-            if let Err(cause) = bytes.as_deref().map_err(Clone::clone).and_then(|b| charge(b, &mut budget)) {
+            if let Err(cause) = bytes.as_deref().map_err(Clone::clone).and_then(|b| charge_texels(b, &mut budget)) {
                 *bytes = Err(cause);
             }
         }
@@ -91,12 +91,12 @@ impl<'d> Images<'d> {
         let mut textures = Vec::with_capacity(decoded.len());
         for (image, decoded) in self.wanted.iter().zip(decoded) {
             textures.push(match decoded {
-                None => placeholder(),
+                None => checkerboard(),
                 Some(Ok(texture)) => texture,
                 Some(Err(cause)) => {
                     let object = format!("/images/{}", image.unwrap_or_default());
                     notes.add(document, "image", object, instead(&cause));
-                    placeholder()
+                    checkerboard()
                 }
             });
         }
@@ -108,12 +108,14 @@ fn instead(cause: &str) -> String {
     format!("{cause}; a magenta checkerboard is shown instead")
 }
 
-fn source_of<'d>(document: &'d Document, image: usize) -> Source<'d> {
+fn source_of<'d>(document: &'d Document, image: usize) -> ImageSource<'d> {
     let object = &document.images[image];
     match (object.buffer_view, &object.uri) {
-        (Some(view), _) => Source::View(view.value()),
-        (None, Some(uri)) => uri::locate(uri, document.path).map_or(Source::Nowhere(image), Source::Location),
-        (None, None) => Source::Nowhere(image),
+        (Some(view), _) => ImageSource::View(view.value()),
+        (None, Some(uri)) => {
+            uri::resolve(uri, document.path).map_or(ImageSource::UnresolvedUri(image), ImageSource::Location)
+        }
+        (None, None) => ImageSource::UnresolvedUri(image),
     }
 }
 
@@ -124,13 +126,13 @@ fn read<'b>(document: &Document, buffers: &'b Buffers, image: usize) -> Result<R
         (Some(view), _) if !buffers.has_data(document, view.value()) => Err("its buffer has no data".into()),
         (Some(view), _) => Ok(Cow::Borrowed(buffers.view(document, view.value())?)),
         (None, Some(uri)) => {
-            uri::locate(uri, document.path).and_then(|location| location.read(MAX_FILE_BYTES)).map(Cow::Owned)
+            uri::resolve(uri, document.path).and_then(|location| location.read(MAX_FILE_BYTES)).map(Cow::Owned)
         }
         (None, None) => Err("has neither a bufferView nor a URI".into()),
     })
 }
 
-fn charge(bytes: &[u8], budget: &mut u64) -> Result<(), String> {
+fn charge_texels(bytes: &[u8], budget: &mut u64) -> Result<(), String> {
     let (width, height) = reader(bytes, METADATA_BYTES)?.into_dimensions().map_err(|e| e.to_string())?;
     if width > MAX_SIDE || height > MAX_SIDE {
         return Err(format!("is {width} x {height} texels, more than {MAX_SIDE} on a side"));
@@ -166,12 +168,12 @@ fn reader(bytes: &[u8], max_alloc: u64) -> Result<ImageReader<Cursor<&[u8]>>, St
 }
 
 /// Cannot be missed, and cannot be meant.
-fn placeholder() -> Texture {
+fn checkerboard() -> Texture {
     const SIDE: u32 = 16;
-    const FIELD: u32 = 4;
+    const CHECKER_SIZE: u32 = 4;
     let texel = |i: u32| {
         let (x, y) = (i % SIDE, i / SIDE);
-        if (x / FIELD + y / FIELD).is_multiple_of(2) { [255, 0, 255, 255] } else { [0, 0, 0, 255] }
+        if (x / CHECKER_SIZE + y / CHECKER_SIZE).is_multiple_of(2) { [255, 0, 255, 255] } else { [0, 0, 0, 255] }
     };
     Texture { width: SIDE, height: SIDE, texels: (0..SIDE * SIDE).map(texel).collect() }
 }

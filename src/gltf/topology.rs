@@ -48,7 +48,7 @@ impl Topology {
 /// all `vertex_count` are used, and nothing was renumbered. O(indices + vertices / 64).
 ///
 /// Exporters often let many primitives share one vertex buffer, of which each uses a part.
-pub(super) fn compact(indices: &mut [u32], vertex_count: usize) -> Option<Vec<u32>> {
+pub(super) fn compact_vertices(indices: &mut [u32], vertex_count: usize) -> Option<Vec<u32>> {
     let (Some(&first), Some(&last)) = (indices.iter().min(), indices.iter().max()) else { return Some(Vec::new()) };
     let mut words = vec![0_u64; ((last - first) / u64::BITS) as usize + 1];
     let place = |vertex: u32| (((vertex - first) / u64::BITS) as usize, (vertex - first) % u64::BITS);
@@ -103,7 +103,7 @@ mod tests {
         fn compacting_names_the_same_vertices(indices in prop::collection::vec(0_u32..300, 0..400), spare in 0_usize..2) {
             let vertex_count = indices.iter().max().map_or(0, |&m| m as usize + 1) + spare;
             let mut renumbered = indices.clone();
-            let used = compact(&mut renumbered, vertex_count);
+            let used = compact_vertices(&mut renumbered, vertex_count);
             let used = used.unwrap_or_else(|| (0..vertex_count as u32).collect());
             let mut distinct = indices.clone();
             distinct.sort_unstable();

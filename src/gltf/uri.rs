@@ -20,7 +20,7 @@ const BASE64: GeneralPurpose = GeneralPurpose::new(
 
 /// Where a URI leads to. Equal locations hold equal bytes, however they are spelled.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub(super) enum Location<'u> {
+pub(super) enum UriTarget<'u> {
     /// The part of a data URI after its scheme.
     Data(&'u str),
     /// A file, by its canonical path.
@@ -32,9 +32,9 @@ pub(super) enum Location<'u> {
 /// A relative URI is a file, looked for from the folder of the glTF file `base`; `..` may lead out of it, as in other importers.
 /// Absolute paths, percent-encoded or not, and every scheme but `data:` are refused: an import reads no network, and names no place on the
 /// machine that its file does not lead to step by step.
-pub(super) fn locate<'u>(uri: &'u str, base: &Path) -> Result<Location<'u>, String> {
+pub(super) fn resolve<'u>(uri: &'u str, base: &Path) -> Result<UriTarget<'u>, String> {
     if let Some(data) = strip_data_scheme(uri) {
-        return Ok(Location::Data(data));
+        return Ok(UriTarget::Data(data));
     }
     if let Some(scheme) = scheme(uri) {
         return Err(format!("the URI scheme \"{scheme}:\" is not supported: only data: and relative files are"));
@@ -53,10 +53,10 @@ pub(super) fn locate<'u>(uri: &'u str, base: &Path) -> Result<Location<'u>, Stri
         }
         result => result,
     };
-    canonical.map(Location::File).map_err(|e| describe(&path, &e))
+    canonical.map(UriTarget::File).map_err(|e| describe(&path, &e))
 }
 
-impl Location<'_> {
+impl UriTarget<'_> {
     /// The bytes there, at most `limit` of those of a file; or why there are none.
     pub(super) fn read(&self, limit: u64) -> Result<Vec<u8>, String> {
         match self {
@@ -123,7 +123,7 @@ mod tests {
     use super::*;
 
     fn read(uri: &str, base: &Path, limit: u64) -> Result<Vec<u8>, String> {
-        locate(uri, base)?.read(limit)
+        resolve(uri, base)?.read(limit)
     }
 
     fn read_here(uri: &str) -> Result<Vec<u8>, String> {
@@ -162,11 +162,11 @@ mod tests {
         let encoded = path.replace('/', "%2F").replace('\\', "%5C").replace(':', "%3A");
         let first_encoded = format!("%{:02X}{}", path.as_bytes()[0], &path[1..]);
         for uri in [path, &encoded, &first_encoded, "%2Fetc%2Fpasswd", "C%3A\\a.bin", "%43:a.bin", "%5C%5Chost%5Ca"] {
-            let cause = locate(uri, &base).unwrap_err();
+            let cause = resolve(uri, &base).unwrap_err();
             assert!(cause.contains("not supported") || cause.contains("absolute"), "{uri}: {cause}");
         }
-        assert!(locate("a%00.bin", &base).unwrap_err().contains("NUL"));
-        assert!(locate("../outside.bin", &base).is_ok());
+        assert!(resolve("a%00.bin", &base).unwrap_err().contains("NUL"));
+        assert!(resolve("../outside.bin", &base).is_ok());
     }
 
     #[test]
@@ -176,7 +176,7 @@ mod tests {
         std::fs::write(folder.path().join("a.bin"), "").unwrap();
         std::fs::create_dir(folder.path().join("sub")).unwrap();
         for uri in ["./a.bin", "././a.bin", "sub/../a.bin", "%61.bin"] {
-            assert_eq!(locate(uri, &base), locate("a.bin", &base), "{uri}");
+            assert_eq!(resolve(uri, &base), resolve("a.bin", &base), "{uri}");
         }
     }
 

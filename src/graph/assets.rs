@@ -6,9 +6,9 @@ use glam::Vec3;
 
 use super::changes::Change;
 use super::core::CoreSlot;
-use super::ranges::{check_material, check_texture};
-use super::scene::stale;
+use super::scene::stale_key_error;
 use super::store::Store;
+use super::value_checks::{check_material, check_texture};
 use super::{Core, CoreKey, Geometry, GeometryKey, Material, MaterialKey, Scene, Texture, TextureKey};
 use crate::Result;
 use crate::math::Bounds;
@@ -16,12 +16,12 @@ use crate::math::Bounds;
 /// An asset with the number of its users: cores that refer to a geometry or a material, references in materials to a
 /// texture.
 #[derive(Debug)]
-pub(super) struct Used<T> {
+pub(super) struct UseCounted<T> {
     pub(super) value: T,
     pub(super) user_count: usize,
 }
 
-impl<T> Used<T> {
+impl<T> UseCounted<T> {
     pub(super) fn new(value: T) -> Self {
         Self { value, user_count: 0 }
     }
@@ -39,7 +39,7 @@ pub(super) struct StoredGeometry {
 
 impl StoredGeometry {
     /// Measures a geometry that was checked.
-    pub(super) fn of_valid(geometry: Geometry, version: u64) -> Self {
+    pub(super) fn from_validated(geometry: Geometry, version: u64) -> Self {
         let bounds = geometry.bounds().into();
         Self { geometry, version, bounds }
     }
@@ -53,7 +53,7 @@ impl Scene {
     /// [`Error::InvalidGeometry`](crate::Error::InvalidGeometry) as [`Geometry::validate`].
     pub fn add_geometry(&mut self, geometry: Geometry) -> Result<GeometryKey> {
         geometry.validate()?;
-        let key = self.geometries.insert(Used::new(StoredGeometry::of_valid(geometry, 0)));
+        let key = self.geometries.insert(UseCounted::new(StoredGeometry::from_validated(geometry, 0)));
         self.record(key, Change::ADDED);
         Ok(key)
     }
@@ -139,12 +139,12 @@ impl Scene {
     /// Puts a valid geometry in the place of another.
     pub(super) fn replace_geometry(&mut self, key: GeometryKey, geometry: Geometry) {
         let old = &self.geometries[key].value;
-        let new = StoredGeometry::of_valid(geometry, old.version + 1);
+        let new = StoredGeometry::from_validated(geometry, old.version + 1);
         let resized = old.bounds != new.bounds;
-        self.touch(key);
+        self.save_prior_state(key);
         self.geometries[key].value = new;
         if resized {
-            self.boxes_changed(key);
+            self.users_bounds_changed(key);
         }
         self.record(key, Change::DATA);
     }
@@ -157,7 +157,7 @@ impl Scene {
     pub fn add_material(&mut self, material: Material) -> Result<MaterialKey> {
         self.check_material(&material)?;
         self.acquire_textures(&material);
-        let key = self.materials.insert(Used::new(material));
+        let key = self.materials.insert(UseCounted::new(material));
         self.record(key, Change::ADDED);
         Ok(key)
     }
@@ -167,7 +167,7 @@ impl Scene {
     /// # Errors
     /// [`Error::StaleKey`](crate::Error::StaleKey).
     pub fn material(&self, key: MaterialKey) -> Result<&Material> {
-        self.materials.get(key).map(|used| &used.value).ok_or_else(|| stale(key))
+        self.materials.get(key).map(|used| &used.value).ok_or_else(|| stale_key_error(key))
     }
 
     /// All materials, in no particular order.
@@ -183,7 +183,7 @@ impl Scene {
         if *self.material(key)? != material {
             self.check_material(&material)?;
             self.acquire_textures(&material);
-            self.touch(key);
+            self.save_prior_state(key);
             let old = std::mem::replace(&mut self.materials[key].value, material);
             self.record(key, Change::DATA);
             self.release_textures(&old);
@@ -197,7 +197,7 @@ impl Scene {
     /// [`Error::OutOfRange`](crate::Error::OutOfRange) if its size is 0 or not that of its texels.
     pub fn add_texture(&mut self, texture: Texture) -> Result<TextureKey> {
         check_texture(&texture)?;
-        let key = self.textures.insert(Used::new(texture));
+        let key = self.textures.insert(UseCounted::new(texture));
         self.record(key, Change::ADDED);
         Ok(key)
     }
@@ -207,7 +207,7 @@ impl Scene {
     /// # Errors
     /// [`Error::StaleKey`](crate::Error::StaleKey).
     pub fn texture(&self, key: TextureKey) -> Result<&Texture> {
-        self.textures.get(key).map(|used| &used.value).ok_or_else(|| stale(key))
+        self.textures.get(key).map(|used| &used.value).ok_or_else(|| stale_key_error(key))
     }
 
     /// All textures, in no particular order.
@@ -222,7 +222,7 @@ impl Scene {
     pub fn set_texture(&mut self, key: TextureKey, texture: Texture) -> Result<()> {
         if *self.texture(key)? != texture {
             check_texture(&texture)?;
-            self.touch(key);
+            self.save_prior_state(key);
             self.textures[key].value = texture;
             self.record(key, Change::DATA);
         }
@@ -269,7 +269,7 @@ impl Scene {
 
     /// Counts a core's use of what it refers to.
     pub(super) fn acquire_assets(&mut self, key: CoreKey, core: &Core) {
-        self.link_target(key, core);
+        self.register_instance(key, core);
         if let Some(geometry) = core.geometry() {
             self.geometries[geometry].user_count += 1;
         }
@@ -280,7 +280,7 @@ impl Scene {
 
     /// Ends a core's use of what it refers to, and frees what nobody else uses.
     pub(super) fn release_assets(&mut self, key: CoreKey, core: &Core) {
-        self.unlink_target(key, core);
+        self.unregister_instance(key, core);
         if let Some(geometry) = core.geometry()
             && release(&mut self.geometries[geometry])
         {
@@ -294,15 +294,15 @@ impl Scene {
     }
 
     /// Tells the hierarchy that a geometry has another box. O(cores + its users).
-    pub(super) fn boxes_changed(&mut self, key: GeometryKey) {
+    pub(super) fn users_bounds_changed(&mut self, key: GeometryKey) {
         let users = |slot: &CoreSlot| std::iter::successors(slot.first_user, |&user| self.nodes[user].next_user);
         for slot in self.cores.values().filter(|slot| slot.core.geometry() == Some(key)) {
-            users(slot).for_each(|user| self.hierarchy.box_changed(user));
+            users(slot).for_each(|user| self.hierarchy.geometry_bounds_changed(user));
         }
     }
 
     fn stored_geometry(&self, key: GeometryKey) -> Result<&StoredGeometry> {
-        self.geometries.get(key).map(|used| &used.value).ok_or_else(|| stale(key))
+        self.geometries.get(key).map(|used| &used.value).ok_or_else(|| stale_key_error(key))
     }
 
     pub(super) fn acquire_textures(&mut self, material: &Material) {
@@ -323,7 +323,7 @@ impl Scene {
         if self.keeps_unused {
             return;
         }
-        self.touch(key);
+        self.save_prior_state(key);
         self.geometries.remove(key);
         self.record(key, Change::REMOVED);
     }
@@ -332,7 +332,7 @@ impl Scene {
         if self.keeps_unused {
             return;
         }
-        self.touch(key);
+        self.save_prior_state(key);
         if let Some(used) = self.materials.remove(key) {
             self.record(key, Change::REMOVED);
             self.release_textures(&used.value);
@@ -343,7 +343,7 @@ impl Scene {
         if self.keeps_unused {
             return;
         }
-        self.touch(key);
+        self.save_prior_state(key);
         self.textures.remove(key);
         self.record(key, Change::REMOVED);
     }
@@ -357,12 +357,12 @@ impl Scene {
 }
 
 /// Ends one use; whether it was the last.
-fn release<T>(used: &mut Used<T>) -> bool {
+fn release<T>(used: &mut UseCounted<T>) -> bool {
     used.user_count -= 1;
     used.user_count == 0
 }
 
-fn is_unused<K: slotmap::Key, T>(assets: &Store<K, Used<T>>, key: K) -> bool {
+fn is_unused<K: slotmap::Key, T>(assets: &Store<K, UseCounted<T>>, key: K) -> bool {
     assets.get(key).is_some_and(|used| used.user_count == 0)
 }
 

@@ -11,9 +11,9 @@ use serde::{Deserialize, Serialize};
 pub enum Billboard {
     /// +Y stays as close to the camera's up direction as it can: labels, sprites.
     #[default]
-    Free,
+    Spherical,
     /// Only about this local axis, of any length but 0: trees.
-    Axis(DVec3),
+    Cylindrical(DVec3),
 }
 
 impl Billboard {
@@ -25,12 +25,12 @@ impl Billboard {
 
     fn try_rotation(&self, eye: DVec3, up: DVec3) -> Option<DMat3> {
         match *self {
-            Self::Free => {
+            Self::Spherical => {
                 let z = eye.try_normalize()?;
                 let x = up.cross(z).try_normalize().unwrap_or_else(|| z.any_orthonormal_vector());
                 Some(DMat3::from_cols(x, z.cross(x), z))
             }
-            Self::Axis(axis) => {
+            Self::Cylindrical(axis) => {
                 let axis = axis.try_normalize()?;
                 let from = DVec3::Z.reject_from_normalized(axis).try_normalize()?;
                 let to = eye.reject_from_normalized(axis).try_normalize()?;
@@ -63,12 +63,12 @@ mod tests {
     #[test]
     fn the_front_looks_at_the_eye() {
         let eye = DVec3::new(3.0, -2.0, 5.0);
-        let free = Billboard::Free.rotation(eye, DVec3::Y);
+        let free = Billboard::Spherical.rotation(eye, DVec3::Y);
         assert!(is_rotation(free));
         assert!(free.z_axis.abs_diff_eq(eye.normalize(), 1e-12));
         assert!(free.y_axis.y > 0.0 && free.x_axis.y.abs() < 1e-12);
 
-        let tree = Billboard::Axis(DVec3::Y * 7.0).rotation(eye, DVec3::Y);
+        let tree = Billboard::Cylindrical(DVec3::Y * 7.0).rotation(eye, DVec3::Y);
         assert!(is_rotation(tree));
         assert!(tree.y_axis.abs_diff_eq(DVec3::Y, 1e-12));
         assert!(tree.z_axis.abs_diff_eq(DVec3::new(3.0, 0.0, 5.0).normalize(), 1e-12));
@@ -76,9 +76,9 @@ mod tests {
 
     #[test]
     fn without_a_direction_nothing_turns() {
-        assert_eq!(Billboard::Free.rotation(DVec3::ZERO, DVec3::Y), DMat3::IDENTITY);
-        assert_eq!(Billboard::Axis(DVec3::Y).rotation(DVec3::Y, DVec3::Y), DMat3::IDENTITY);
-        assert_eq!(Billboard::Axis(DVec3::Z).rotation(DVec3::X, DVec3::Y), DMat3::IDENTITY);
-        assert!(is_rotation(Billboard::Free.rotation(DVec3::Y, DVec3::Y)));
+        assert_eq!(Billboard::Spherical.rotation(DVec3::ZERO, DVec3::Y), DMat3::IDENTITY);
+        assert_eq!(Billboard::Cylindrical(DVec3::Y).rotation(DVec3::Y, DVec3::Y), DMat3::IDENTITY);
+        assert_eq!(Billboard::Cylindrical(DVec3::Z).rotation(DVec3::X, DVec3::Y), DMat3::IDENTITY);
+        assert!(is_rotation(Billboard::Spherical.rotation(DVec3::Y, DVec3::Y)));
     }
 }

@@ -56,7 +56,7 @@ impl Camera {
 
     /// The same camera with another lens shift.
     #[must_use]
-    pub fn shifted(mut self, by: Vec2) -> Self {
+    pub fn with_lens_shift(mut self, by: Vec2) -> Self {
         match &mut self {
             Self::Perspective { shift, .. } | Self::Orthographic { shift, .. } => *shift = by,
         }
@@ -75,7 +75,7 @@ impl Camera {
     /// # Errors
     /// [`Error::OutOfRange`](crate::Error::OutOfRange) names the first that is not.
     pub fn validate(&self) -> crate::Result<()> {
-        super::ranges::check_camera(self)
+        super::value_checks::check_camera(self)
     }
 }
 

@@ -10,8 +10,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Weak};
 
 use super::key_map::KeyMap;
-use super::validate::check;
-use super::{CoreKey, GeometryKey, MaterialKey, NodeKey, Object, SceneId, TextureKey};
+use super::validate::require_invariant;
+use super::{CoreKey, GeometryKey, MaterialKey, NodeKey, ObjectKey, SceneId, TextureKey};
 use crate::Result;
 
 bitflags::bitflags! {
@@ -46,7 +46,7 @@ bitflags::bitflags! {
 
 impl Change {
     /// Both, the later one after the earlier one; empty if the object came and went.
-    fn then(self, later: Self) -> Self {
+    fn followed_by(self, later: Self) -> Self {
         match (self.contains(Self::ADDED), later.contains(Self::REMOVED)) {
             (true, true) => Self::empty(),
             (true, false) => Self::ADDED,
@@ -66,7 +66,7 @@ pub enum Changes {
     Everything,
     /// What changed since the last read, each object once, in the order of first changes. Objects that came and went
     /// are left out.
-    Since(Vec<(Object, Change)>),
+    Since(Vec<(ObjectKey, Change)>),
 }
 
 /// How far one consumer has read the log of a scene. Dropping it ends the subscription, and frees what only it had
@@ -74,7 +74,7 @@ pub enum Changes {
 ///
 /// A default cursor has read nothing; see [`Scene::changes_since`](super::Scene::changes_since).
 #[derive(Debug, Default)]
-pub struct Cursor {
+pub struct ChangeCursor {
     subscription: Option<(SceneId, Position)>,
 }
 
@@ -88,27 +88,27 @@ pub(super) struct ChangeLog {
     /// Oldest first. The last one is open: new changes go there. Empty without cursors.
     segments: VecDeque<Segment>,
     /// Where the open segment has an object's entry.
-    places: Places,
+    places: EntryIndices,
     /// The same, for objects that are gone and whose slot others have got since: they may come back.
-    displaced: HashMap<Object, usize>,
+    displaced: HashMap<ObjectKey, usize>,
 }
 
 impl ChangeLog {
     /// Adds one change to the open segment. O(1) amortised.
-    pub(super) fn record(&mut self, object: Object, change: Change) {
+    pub(super) fn record(&mut self, object: ObjectKey, change: Change) {
         let Some(open) = self.segments.back_mut() else { return };
-        let place = self.places.get(object).filter(|&place| open.is_at(object, place));
+        let place = self.places.get(object).filter(|&place| open.has_entry_at(object, place));
         if let Some(place) = place.or_else(|| self.displaced.get(&object).copied()) {
             open.merge_at(place, change);
-            if open.drop_dead_entries() {
+            if open.compact() {
                 self.displaced.clear();
                 for (place, &(object, _)) in open.entries.iter().enumerate() {
-                    set_place(object, place, &open.entries, &mut self.places, &mut self.displaced);
+                    set_entry_index(object, place, &open.entries, &mut self.places, &mut self.displaced);
                 }
             }
             return;
         }
-        set_place(object, open.entries.len(), &open.entries, &mut self.places, &mut self.displaced);
+        set_entry_index(object, open.entries.len(), &open.entries, &mut self.places, &mut self.displaced);
         open.entries.push((object, change));
         if self.cursors.iter().any(|cursor| cursor.strong_count() == 0) {
             self.forget_dropped_cursors();
@@ -116,8 +116,8 @@ impl ChangeLog {
     }
 
     /// What changed since the cursor's last read of this scene. Moves the cursor.
-    pub(super) fn read(&mut self, scene: SceneId, cursor: &mut Cursor) -> Changes {
-        if self.has_read_all(scene, cursor) {
+    pub(super) fn read(&mut self, scene: SceneId, cursor: &mut ChangeCursor) -> Changes {
+        if self.is_caught_up(scene, cursor) {
             return Changes::Since(Vec::new());
         }
         self.forget_dropped_cursors();
@@ -138,7 +138,7 @@ impl ChangeLog {
         changes
     }
 
-    fn has_read_all(&self, scene: SceneId, cursor: &Cursor) -> bool {
+    fn is_caught_up(&self, scene: SceneId, cursor: &ChangeCursor) -> bool {
         let (Some(open), Some((subscribed, position))) = (self.segments.back(), &cursor.subscription) else {
             return false;
         };
@@ -146,8 +146,8 @@ impl ChangeLog {
     }
 
     /// Allocates what recording changes of objects up to these takes.
-    pub(super) fn make_room(&mut self, last_node: Option<NodeKey>, last_core: Option<CoreKey>) {
-        let last = [last_node.map(Object::from), last_core.map(Object::from)];
+    pub(super) fn reserve(&mut self, last_node: Option<NodeKey>, last_core: Option<CoreKey>) {
+        let last = [last_node.map(ObjectKey::from), last_core.map(ObjectKey::from)];
         last.into_iter().flatten().for_each(|object| {
             self.places.set(object, 0);
         });
@@ -166,7 +166,7 @@ impl ChangeLog {
     }
 
     /// All entries from the segment that starts at `since` on, merged by object. Cursors are where they will be.
-    fn merged_since(&mut self, since: u64) -> Vec<(Object, Change)> {
+    fn merged_since(&mut self, since: u64) -> Vec<(ObjectKey, Change)> {
         let first = self.segments.partition_point(|segment| segment.start < since);
         let mut merged = if self.lowest_cursor() > since {
             // Nobody else is going to read it.
@@ -175,7 +175,7 @@ impl ChangeLog {
             self.segments[first].copy()
         };
         for segment in self.segments.range(first + 1..) {
-            merged.absorb(segment);
+            merged.append(segment);
         }
         merged.entries.retain(|(_, change)| !change.is_empty());
         merged.entries
@@ -188,7 +188,7 @@ impl ChangeLog {
         let mut kept: VecDeque<Segment> = VecDeque::with_capacity(starts.len());
         for segment in self.segments.drain(..) {
             match kept.back_mut() {
-                Some(last) if !starts.contains(&segment.start) => last.absorb(&segment),
+                Some(last) if !starts.contains(&segment.start) => last.append(&segment),
                 _ => kept.push_back(segment),
             }
         }
@@ -222,31 +222,31 @@ impl ChangeLog {
     /// Checks that each cursor stands at the start of a segment, and that no segment has two entries for an object.
     pub(super) fn validate(&self, root: NodeKey) -> Result<()> {
         let rising = self.segments.iter().is_sorted_by(|a, b| a.start < b.start);
-        check(rising, root, "the log is out of order")?;
+        require_invariant(rising, root, "the log is out of order")?;
         let at_segment = |position: &u64| self.segments.iter().any(|segment| segment.start == *position);
-        check(self.positions().iter().all(at_segment), root, "a cursor is not at the start of a segment")?;
+        require_invariant(self.positions().iter().all(at_segment), root, "a cursor is not at the start of a segment")?;
         for segment in &self.segments {
             let mut seen = HashSet::new();
             let entries = segment.entries.iter().enumerate().filter(|(_, (_, change))| !change.is_empty());
             for (place, &(object, _)) in entries {
-                check(seen.insert(object), object, "it has two entries in one segment of the log")?;
+                require_invariant(seen.insert(object), object, "it has two entries in one segment of the log")?;
                 let found = segment.index.is_empty() || segment.index.get(&object) == Some(&place);
-                check(found, object, "the log's index does not find it")?;
+                require_invariant(found, object, "the log's index does not find it")?;
             }
             let dead = segment.entries.iter().filter(|(_, change)| change.is_empty()).count();
-            check(dead == segment.dead, root, "the log miscounts what came and went")?;
+            require_invariant(dead == segment.cancelled, root, "the log miscounts what came and went")?;
         }
         Ok(())
     }
 }
 
 /// Notes where an object's entry is, and keeps where that of the object is which had its slot before.
-fn set_place(
-    object: Object,
+fn set_entry_index(
+    object: ObjectKey,
     place: usize,
-    entries: &[(Object, Change)],
-    places: &mut Places,
-    displaced: &mut HashMap<Object, usize>,
+    entries: &[(ObjectKey, Change)],
+    places: &mut EntryIndices,
+    displaced: &mut HashMap<ObjectKey, usize>,
 ) {
     if let Some((other, other_place)) = places.set(object, place)
         && entries.get(other_place).is_some_and(|&(found, change)| found == other && !change.is_empty())
@@ -261,35 +261,35 @@ struct Segment {
     /// Where it starts; each later segment has a higher one.
     start: u64,
     /// One an object, in the order of first changes; without a change if the object came and went.
-    entries: Vec<(Object, Change)>,
-    dead: usize,
+    entries: Vec<(ObjectKey, Change)>,
+    cancelled: usize,
     /// Where each object's entry is; empty until something is merged into a closed segment.
-    index: HashMap<Object, usize>,
+    index: HashMap<ObjectKey, usize>,
 }
 
 impl Segment {
     fn new(start: u64) -> Self {
-        Self { start, entries: Vec::new(), dead: 0, index: HashMap::new() }
+        Self { start, entries: Vec::new(), cancelled: 0, index: HashMap::new() }
     }
 
     fn copy(&self) -> Self {
-        Self { entries: self.entries.clone(), dead: self.dead, ..Self::new(self.start) }
+        Self { entries: self.entries.clone(), cancelled: self.cancelled, ..Self::new(self.start) }
     }
 
-    fn is_at(&self, object: Object, place: usize) -> bool {
+    fn has_entry_at(&self, object: ObjectKey, place: usize) -> bool {
         self.entries.get(place).is_some_and(|entry| entry.0 == object)
     }
 
     fn merge_at(&mut self, place: usize, later: Change) {
         let change = &mut self.entries[place].1;
         // What came and went can come back.
-        self.dead -= usize::from(change.is_empty());
-        *change = change.then(later);
-        self.dead += usize::from(change.is_empty());
+        self.cancelled -= usize::from(change.is_empty());
+        *change = change.followed_by(later);
+        self.cancelled += usize::from(change.is_empty());
     }
 
     /// Adds the changes of the segment after this one. O(changes there), once there is an index.
-    fn absorb(&mut self, later: &Self) {
+    fn append(&mut self, later: &Self) {
         if later.entries.is_empty() {
             return;
         }
@@ -304,17 +304,17 @@ impl Segment {
                 self.entries.push((object, change));
             }
         }
-        if self.drop_dead_entries() {
+        if self.compact() {
             self.index.clear();
         }
     }
 
     /// Closes the gaps if half of the entries are dead; whether it did.
-    fn drop_dead_entries(&mut self) -> bool {
-        let worth_it = self.dead * 2 > self.entries.len();
+    fn compact(&mut self) -> bool {
+        let worth_it = self.cancelled * 2 > self.entries.len();
         if worth_it {
             self.entries.retain(|(_, change)| !change.is_empty());
-            self.dead = 0;
+            self.cancelled = 0;
         }
         worth_it
     }
@@ -322,7 +322,7 @@ impl Segment {
 
 /// A place for each object. One that was never set, or was set long ago, is wrong: the reader checks what is there.
 #[derive(Debug, Default)]
-struct Places {
+struct EntryIndices {
     nodes: KeyMap<NodeKey, u32>,
     cores: KeyMap<CoreKey, u32>,
     geometries: KeyMap<GeometryKey, u32>,
@@ -330,34 +330,34 @@ struct Places {
     textures: KeyMap<TextureKey, u32>,
 }
 
-impl Places {
-    fn get(&self, object: Object) -> Option<usize> {
+impl EntryIndices {
+    fn get(&self, object: ObjectKey) -> Option<usize> {
         let place = match object {
-            Object::Node(key) => self.nodes.get(key),
-            Object::Core(key) => self.cores.get(key),
-            Object::Geometry(key) => self.geometries.get(key),
-            Object::Material(key) => self.materials.get(key),
-            Object::Texture(key) => self.textures.get(key),
+            ObjectKey::Node(key) => self.nodes.get(key),
+            ObjectKey::Core(key) => self.cores.get(key),
+            ObjectKey::Geometry(key) => self.geometries.get(key),
+            ObjectKey::Material(key) => self.materials.get(key),
+            ObjectKey::Texture(key) => self.textures.get(key),
         };
         place.map(|&place| place as usize)
     }
 
     /// Gives the object of another generation that was in the same place, with its place.
-    fn set(&mut self, object: Object, place: usize) -> Option<(Object, usize)> {
-        fn insert<K: slotmap::Key + Into<Object>>(
+    fn set(&mut self, object: ObjectKey, place: usize) -> Option<(ObjectKey, usize)> {
+        fn insert<K: slotmap::Key + Into<ObjectKey>>(
             map: &mut KeyMap<K, u32>,
             key: K,
             place: usize,
-        ) -> Option<(Object, usize)> {
+        ) -> Option<(ObjectKey, usize)> {
             let (other, place) = map.insert(key, place as u32).filter(|&(other, _)| other != key)?;
             Some((other.into(), place as usize))
         }
         match object {
-            Object::Node(key) => insert(&mut self.nodes, key, place),
-            Object::Core(key) => insert(&mut self.cores, key, place),
-            Object::Geometry(key) => insert(&mut self.geometries, key, place),
-            Object::Material(key) => insert(&mut self.materials, key, place),
-            Object::Texture(key) => insert(&mut self.textures, key, place),
+            ObjectKey::Node(key) => insert(&mut self.nodes, key, place),
+            ObjectKey::Core(key) => insert(&mut self.cores, key, place),
+            ObjectKey::Geometry(key) => insert(&mut self.geometries, key, place),
+            ObjectKey::Material(key) => insert(&mut self.materials, key, place),
+            ObjectKey::Texture(key) => insert(&mut self.textures, key, place),
         }
     }
 }
@@ -380,7 +380,7 @@ mod tests {
         log.record(keys.insert(()).into(), Change::ADDED);
         assert_eq!(entry_count(&log), 0);
 
-        let mut cursor = Cursor::default();
+        let mut cursor = ChangeCursor::default();
         assert_eq!(log.read(scene, &mut cursor), Changes::Everything);
         log.record(keys.insert(()).into(), Change::ADDED);
         assert_eq!(entry_count(&log), 1);
@@ -394,18 +394,18 @@ mod tests {
     #[test]
     fn a_lagging_consumer_costs_one_entry_an_object() {
         let mut keys: SlotMap<NodeKey, ()> = SlotMap::with_key();
-        let objects: Vec<Object> = (0..10).map(|_| keys.insert(()).into()).collect();
+        let objects: Vec<ObjectKey> = (0..10).map(|_| keys.insert(()).into()).collect();
         let (mut log, scene) = (ChangeLog::default(), Scene::new().id());
-        let (mut lagging, mut eager) = (Cursor::default(), Cursor::default());
+        let (mut lagging, mut eager) = (ChangeCursor::default(), ChangeCursor::default());
         assert_eq!(log.read(scene, &mut lagging), Changes::Everything);
         assert_eq!(log.read(scene, &mut eager), Changes::Everything);
 
         for round in 0..1000 {
             let object = objects[round * 7 % objects.len()];
             log.record(object, Change::MASK);
-            let visitor: Object = keys.insert(()).into();
+            let visitor: ObjectKey = keys.insert(()).into();
             log.record(visitor, Change::ADDED);
-            let mut passing = Cursor::default();
+            let mut passing = ChangeCursor::default();
             assert_eq!(log.read(scene, &mut passing), Changes::Everything);
             log.record(visitor, Change::REMOVED);
             assert_eq!(log.read(scene, &mut eager), Changes::Since(vec![(object, Change::MASK)]));

@@ -64,7 +64,7 @@ impl Core {
     }
 
     /// The node that it shows here too.
-    pub fn target(&self) -> Option<NodeKey> {
+    pub fn instance_target(&self) -> Option<NodeKey> {
         match *self {
             Self::Instance(target) => Some(target),
             _ => None,

@@ -12,7 +12,7 @@ impl Scene {
 
     /// All nodes that have this name, in preorder. O(nodes).
     pub fn find_all<'a>(&'a self, name: &'a str) -> impl Iterator<Item = NodeKey> + 'a {
-        let all = self.descendants(self.root).into_iter().flatten();
+        let all = self.subtree(self.root).into_iter().flatten();
         all.filter(move |&node| *self.nodes[node].name == *name)
     }
 

@@ -6,7 +6,7 @@ use glam::{Vec2, Vec3, Vec4};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::Structure;
+use super::BlasKind;
 use crate::math::Aabb;
 use crate::{Error, Result};
 
@@ -27,9 +27,9 @@ pub struct Geometry {
     /// Linear RGBA in 0 to 1, multiplied with the material's base colour.
     pub colors: Option<Arc<[Vec4]>>,
     /// The acceleration structure to build for it. `None` leaves that to the compiler, which goes by how often the geometry
-    /// changes: [`Structure::default`] for one that is new or changes now and then, a faster build for one that changes frame
+    /// changes: [`BlasKind::default`] for one that is new or changes now and then, a faster build for one that changes frame
     /// after frame. An explicit choice holds whatever the geometry does.
-    pub structure: Option<Structure>,
+    pub blas_kind: Option<BlasKind>,
 }
 
 impl Geometry {
@@ -41,10 +41,10 @@ impl Geometry {
         Self { positions: positions.into(), indices: indices.into(), ..Self::default() }
     }
 
-    /// It with this acceleration structure, see [`structure`](Self::structure).
+    /// It with this acceleration structure, see [`structure`](Self::blas_kind).
     #[must_use]
-    pub fn with_structure(self, structure: impl Into<Option<Structure>>) -> Self {
-        Self { structure: structure.into(), ..self }
+    pub fn with_blas_kind(self, structure: impl Into<Option<BlasKind>>) -> Self {
+        Self { blas_kind: structure.into(), ..self }
     }
 
     /// It with its vertices elsewhere; the triangles are shared. Checks what is new.
@@ -65,7 +65,7 @@ impl Geometry {
     }
 
     /// Whether it is equal: at once where the streams are shared.
-    pub(super) fn is_same(&self, other: &Self) -> bool {
+    pub(super) fn has_equal_content(&self, other: &Self) -> bool {
         fn is_shared<T>(a: Option<&Arc<[T]>>, b: Option<&Arc<[T]>>) -> bool {
             match (a, b) {
                 (Some(a), Some(b)) => Arc::ptr_eq(a, b),
@@ -77,7 +77,7 @@ impl Geometry {
             && is_shared(self.normals.as_ref(), other.normals.as_ref())
             && (0..2).all(|i| is_shared(self.tex_coords[i].as_ref(), other.tex_coords[i].as_ref()))
             && is_shared(self.colors.as_ref(), other.colors.as_ref())
-            && self.structure == other.structure;
+            && self.blas_kind == other.blas_kind;
         is_shared || self == other
     }
 

@@ -21,7 +21,7 @@ slotmap::new_key_type! {
 /// Any object of a scene, by its key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[non_exhaustive]
-pub enum Object {
+pub enum ObjectKey {
     /// A node.
     Node(NodeKey),
     /// A core.
@@ -34,7 +34,7 @@ pub enum Object {
     Texture(TextureKey),
 }
 
-impl fmt::Display for Object {
+impl fmt::Display for ObjectKey {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (kind, key) = match *self {
             Self::Node(key) => ("node", key.data()),
@@ -50,7 +50,7 @@ impl fmt::Display for Object {
 
 macro_rules! object_from_key {
     ($($key:ident => $variant:ident),* $(,)?) => {
-        $(impl From<$key> for Object {
+        $(impl From<$key> for ObjectKey {
             fn from(key: $key) -> Self {
                 Self::$variant(key)
             }

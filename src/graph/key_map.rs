@@ -12,14 +12,14 @@ use slotmap::{Key, KeyData};
 #[derive(Clone, Debug)]
 pub(crate) struct KeyMap<K, V> {
     /// By slot: the generation of its key, and its value.
-    places: Vec<Option<(NonZeroU32, V)>>,
+    slots: Vec<Option<(NonZeroU32, V)>>,
     len: usize,
     keys: std::marker::PhantomData<fn(K) -> K>,
 }
 
 impl<K: Key, V> KeyMap<K, V> {
     pub(crate) fn new() -> Self {
-        Self { places: Vec::new(), len: 0, keys: std::marker::PhantomData }
+        Self { slots: Vec::new(), len: 0, keys: std::marker::PhantomData }
     }
 
     /// Number of values.
@@ -32,14 +32,14 @@ impl<K: Key, V> KeyMap<K, V> {
     }
 
     pub(crate) fn get(&self, key: K) -> Option<&V> {
-        match self.places.get(slot(key)) {
+        match self.slots.get(slot(key)) {
             Some(Some((generation, value))) if generation.get() == self::generation(key) => Some(value),
             _ => None,
         }
     }
 
     pub(crate) fn get_mut(&mut self, key: K) -> Option<&mut V> {
-        match self.places.get_mut(slot(key)) {
+        match self.slots.get_mut(slot(key)) {
             Some(Some((generation, value))) if generation.get() == self::generation(key) => Some(value),
             _ => None,
         }
@@ -47,7 +47,7 @@ impl<K: Key, V> KeyMap<K, V> {
 
     /// The key of which there is a value in this slot.
     pub(crate) fn key_at(&self, slot: usize) -> Option<K> {
-        self.places.get(slot)?.as_ref().map(|(generation, _)| key_of(slot, *generation))
+        self.slots.get(slot)?.as_ref().map(|(generation, _)| key_of(slot, *generation))
     }
 
     /// Puts a value in the place of the key's slot. Gives what was there, of whatever generation. Does nothing for the
@@ -57,10 +57,10 @@ impl<K: Key, V> KeyMap<K, V> {
             return None;
         }
         let (slot, generation) = (slot(key), NonZeroU32::new(generation(key)));
-        if slot >= self.places.len() {
-            self.places.resize_with(slot + 1, || None);
+        if slot >= self.slots.len() {
+            self.slots.resize_with(slot + 1, || None);
         }
-        let old = std::mem::replace(&mut self.places[slot], generation.map(|generation| (generation, value)));
+        let old = std::mem::replace(&mut self.slots[slot], generation.map(|generation| (generation, value)));
         self.len += usize::from(old.is_none());
         old.map(|(generation, value)| (key_of(slot, generation), value))
     }
@@ -68,12 +68,12 @@ impl<K: Key, V> KeyMap<K, V> {
     pub(crate) fn remove(&mut self, key: K) -> Option<V> {
         self.get(key)?;
         self.len -= 1;
-        self.places[slot(key)].take().map(|(_, value)| value)
+        self.slots[slot(key)].take().map(|(_, value)| value)
     }
 
     /// All keys with their values, by rising slot. O(slots).
     pub(crate) fn iter(&self) -> impl DoubleEndedIterator<Item = (K, &V)> + Clone {
-        self.places.iter().enumerate().filter_map(|(slot, place)| {
+        self.slots.iter().enumerate().filter_map(|(slot, place)| {
             let (generation, value) = place.as_ref()?;
             Some((key_of(slot, *generation), value))
         })

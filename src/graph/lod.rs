@@ -17,18 +17,18 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Lod {
     /// What is measured.
-    pub measure: LodMeasure,
+    pub metric: LodMetric,
     /// What is measured from, in the node's local space: the middle of what is below it.
     pub center: DVec3,
     /// Above 0; ascending for distances, descending for sizes.
-    pub limits: Vec<f64>,
+    pub thresholds: Vec<f64>,
     /// At least 0, below 1; 0 for none.
     pub hysteresis: f64,
 }
 
 /// What a level of detail depends on.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub enum LodMeasure {
+pub enum LodMetric {
     /// The distance of the eye from the centre, in world units.
     Distance,
     /// The diameter of the sphere around the centre, as a share of the image's height: 1 fills it.
@@ -41,12 +41,12 @@ pub enum LodMeasure {
 impl Lod {
     /// Levels by distance from the node's origin, without hysteresis.
     pub fn by_distance(limits: impl Into<Vec<f64>>) -> Self {
-        Self { measure: LodMeasure::Distance, center: DVec3::ZERO, limits: limits.into(), hysteresis: 0.0 }
+        Self { metric: LodMetric::Distance, center: DVec3::ZERO, thresholds: limits.into(), hysteresis: 0.0 }
     }
 
     /// Levels by projected size of a sphere around the node's origin, without hysteresis.
     pub fn by_projected_size(radius: f64, limits: impl Into<Vec<f64>>) -> Self {
-        Self { measure: LodMeasure::ProjectedSize { radius }, ..Self::by_distance(limits) }
+        Self { metric: LodMetric::ProjectedSize { radius }, ..Self::by_distance(limits) }
     }
 
     /// The level for what was measured, when `current` was shown before. O(limits).
@@ -61,21 +61,21 @@ impl Lod {
     /// assert_eq!(lod.level(9.5, Some(1)), 1);
     /// assert_eq!(lod.level(99.0, Some(0)), 2);
     /// ```
-    pub fn level(&self, measured: f64, current: Option<u32>) -> u32 {
-        let is_beyond = |limit: f64| match self.measure {
-            LodMeasure::Distance => measured > limit,
-            LodMeasure::ProjectedSize { .. } => measured < limit,
+    pub fn select_level(&self, measured: f64, current: Option<u32>) -> u32 {
+        let is_beyond = |limit: f64| match self.metric {
+            LodMetric::Distance => measured > limit,
+            LodMetric::ProjectedSize { .. } => measured < limit,
         };
         let passed = |i: usize| {
             // The limits before the current level are left later on the way back, those after it later on the way out.
-            let (far, near) = match self.measure {
-                LodMeasure::Distance => (1.0 + self.hysteresis, 1.0 - self.hysteresis),
-                LodMeasure::ProjectedSize { .. } => (1.0 - self.hysteresis, 1.0 + self.hysteresis),
+            let (far, near) = match self.metric {
+                LodMetric::Distance => (1.0 + self.hysteresis, 1.0 - self.hysteresis),
+                LodMetric::ProjectedSize { .. } => (1.0 - self.hysteresis, 1.0 + self.hysteresis),
             };
             let factor = current.map_or(1.0, |current| if i < current as usize { near } else { far });
-            is_beyond(self.limits[i] * factor)
+            is_beyond(self.thresholds[i] * factor)
         };
-        (0..self.limits.len()).take_while(|&i| passed(i)).count() as u32
+        (0..self.thresholds.len()).take_while(|&i| passed(i)).count() as u32
     }
 }
 
@@ -86,17 +86,17 @@ mod tests {
     #[test]
     fn sizes_count_the_other_way() {
         let lod = Lod { hysteresis: 0.1, ..Lod::by_projected_size(1.0, [0.5, 0.1]) };
-        assert_eq!(lod.level(0.6, None), 0);
-        assert_eq!(lod.level(0.3, None), 1);
-        assert_eq!(lod.level(0.01, None), 2);
-        assert_eq!(lod.level(0.47, Some(0)), 0);
-        assert_eq!(lod.level(0.44, Some(0)), 1);
-        assert_eq!(lod.level(0.54, Some(1)), 1);
-        assert_eq!(lod.level(0.56, Some(1)), 0);
+        assert_eq!(lod.select_level(0.6, None), 0);
+        assert_eq!(lod.select_level(0.3, None), 1);
+        assert_eq!(lod.select_level(0.01, None), 2);
+        assert_eq!(lod.select_level(0.47, Some(0)), 0);
+        assert_eq!(lod.select_level(0.44, Some(0)), 1);
+        assert_eq!(lod.select_level(0.54, Some(1)), 1);
+        assert_eq!(lod.select_level(0.56, Some(1)), 0);
     }
 
     #[test]
     fn without_limits_there_is_one_level() {
-        assert_eq!(Lod::by_distance([]).level(1e9, None), 0);
+        assert_eq!(Lod::by_distance([]).select_level(1e9, None), 0);
     }
 }

@@ -135,16 +135,16 @@ impl TextureRef {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Sampler {
     /// What lies left and right of the image.
-    pub wrap_u: Wrap,
+    pub wrap_u: WrapMode,
     /// What lies above and below the image.
-    pub wrap_v: Wrap,
+    pub wrap_v: WrapMode,
     /// What lies between texel centres.
-    pub filter: Filter,
+    pub filter: FilterMode,
 }
 
 /// What lies beyond the edge of an image.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub enum Wrap {
+pub enum WrapMode {
     /// The image again.
     #[default]
     Repeat,
@@ -156,7 +156,7 @@ pub enum Wrap {
 
 /// What lies between texel centres.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub enum Filter {
+pub enum FilterMode {
     /// The bilinear mix of the four nearest texels.
     #[default]
     Linear,

@@ -1,54 +1,56 @@
 //! The retained scene graph: nodes, cores, the change log.
 //!
-//! [`Scene`] owns everything. Its edits and getters stand in files of their own: `structure` (the tree), `cores`,
-//! `assets`, `query`, `find`, `visit`.
+//! [`Scene`] owns everything. Its edits and getters stand in files of their own: `tree_edits` (the tree), `core_edits`,
+//! `assets`, `tree_reads`, `find`, `visit`.
 
 mod assets;
 mod billboard;
 mod bit_set;
+mod blas_kind;
 mod camera;
 mod changes;
 mod core;
-mod cores;
+mod core_edits;
 mod find;
 mod geometry;
 mod hierarchy;
-mod instances;
+mod instance_cycles;
 mod key;
 mod key_map;
 mod light;
-mod links;
+mod linked_lists;
 mod lod;
 mod material;
 mod node;
-mod query;
-mod ranges;
 mod scene;
 mod store;
-mod structure;
-mod structure_choice;
 mod switch;
 mod transfer;
 mod transform;
+mod tree_edits;
+mod tree_reads;
 mod validate;
+mod value_checks;
 mod visit;
 
 pub use billboard::Billboard;
+pub use blas_kind::{BlasKind, Quality};
 pub use camera::Camera;
-pub use changes::{Change, Changes, Cursor};
+pub use changes::{Change, ChangeCursor, Changes};
 pub use core::{Core, CoreSource};
 pub use geometry::Geometry;
-pub use hierarchy::{Hierarchy, NodePath, Placed};
-pub use key::{CoreKey, GeometryKey, MaterialKey, NodeKey, Object, TextureKey};
+pub use hierarchy::{Hierarchy, NodePath, ResolvedEntry};
+pub use key::{CoreKey, GeometryKey, MaterialKey, NodeKey, ObjectKey, TextureKey};
 pub(crate) use key_map::KeyMap;
 pub use light::{Light, LightKind};
-pub use lod::{Lod, LodMeasure};
-pub use material::{AlphaMode, Filter, Material, Sampler, Texture, TextureRef, Wrap};
-pub use node::Keep;
-pub use query::{Ancestors, Children, Descendants, Users};
+pub use lod::{Lod, LodMetric};
+pub use material::{AlphaMode, FilterMode, Material, Sampler, Texture, TextureRef, WrapMode};
+pub use node::KeepTransform;
 pub use scene::{Scene, SceneId};
-pub use structure_choice::{Quality, Structure};
 pub use switch::Switch;
-pub use transfer::{Delta, EditQueue, EditSender, NodeState, Pending, Recorder, Replay, SceneFileFault, State};
+pub use transfer::{
+    Delta, EditQueue, EditSender, NodeState, ObjectState, PendingEdit, Recorder, Replay, SceneFileError,
+};
 pub use transform::Transform;
+pub use tree_reads::{Ancestors, Children, Subtree, Users};
 pub use visit::{Descend, Visitor};

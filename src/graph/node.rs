@@ -40,7 +40,7 @@ impl Node {
 
 /// What stays as it is when a node gets another parent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Keep {
+pub enum KeepTransform {
     /// Its local transform: it moves with its new parent's space.
     Local,
     /// Its world transform: it stays where it is, and its local transform is adapted.

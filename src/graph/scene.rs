@@ -3,14 +3,14 @@
 use std::collections::{BTreeSet, HashMap};
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use super::assets::{StoredGeometry, Used};
-use super::changes::{Change, ChangeLog, Changes, Cursor};
+use super::assets::{StoredGeometry, UseCounted};
+use super::changes::{Change, ChangeCursor, ChangeLog, Changes};
 use super::core::CoreSlot;
-use super::hierarchy::{Hierarchy, Tree};
+use super::hierarchy::{Hierarchy, SceneStores};
 use super::node::Node;
 use super::store::Store;
 use super::transfer::Journal;
-use super::{Core, CoreKey, GeometryKey, Material, MaterialKey, NodeKey, Object, Texture, TextureKey};
+use super::{Core, CoreKey, GeometryKey, Material, MaterialKey, NodeKey, ObjectKey, Texture, TextureKey};
 use crate::{Error, Result};
 
 /// A retained scene graph.
@@ -62,9 +62,9 @@ pub struct Scene {
     pub(super) root: NodeKey,
     pub(super) nodes: Store<NodeKey, Node>,
     pub(super) cores: Store<CoreKey, CoreSlot>,
-    pub(super) geometries: Store<GeometryKey, Used<StoredGeometry>>,
-    pub(super) materials: Store<MaterialKey, Used<Material>>,
-    pub(super) textures: Store<TextureKey, Used<Texture>>,
+    pub(super) geometries: Store<GeometryKey, UseCounted<StoredGeometry>>,
+    pub(super) materials: Store<MaterialKey, UseCounted<Material>>,
+    pub(super) textures: Store<TextureKey, UseCounted<Texture>>,
     pub(super) log: ChangeLog,
     pub(super) hierarchy: Hierarchy,
     pub(super) journal: Journal,
@@ -167,9 +167,9 @@ impl Scene {
     }
 
     /// A cursor into the log of changes, for one consumer. Its first read gives [`Changes::Everything`]. Equal to
-    /// `Cursor::default()`.
-    pub fn subscribe(&self) -> Cursor {
-        Cursor::default()
+    /// `ChangeCursor::default()`.
+    pub fn subscribe(&self) -> ChangeCursor {
+        ChangeCursor::default()
     }
 
     /// What has changed since the last read with this cursor, each object once; moves the cursor to now.
@@ -192,11 +192,11 @@ impl Scene {
     /// assert_eq!(scene.changes_since(&mut cursor), Changes::Since(vec![]));
     /// # Ok::<(), ropewalk::Error>(())
     /// ```
-    pub fn changes_since(&mut self, cursor: &mut Cursor) -> Changes {
+    pub fn changes_since(&mut self, cursor: &mut ChangeCursor) -> Changes {
         let changes = self.log.read(self.id, cursor);
         if changes == Changes::Everything {
             // Not at the first edit, which may be a small one.
-            self.log.make_room(self.nodes.keys().last(), self.cores.keys().last());
+            self.log.reserve(self.nodes.keys().last(), self.cores.keys().last());
         }
         changes
     }
@@ -215,45 +215,51 @@ impl Scene {
     /// # Errors
     /// As [`hierarchy`](Self::hierarchy).
     pub fn with_hierarchy(&mut self) -> Result<(&Self, &Hierarchy)> {
-        let (hierarchy, tree) = self.hierarchy_and_tree();
+        let (hierarchy, tree) = self.hierarchy_and_stores();
         hierarchy.update(tree)?;
         Ok((self, &self.hierarchy))
     }
 
     /// The hierarchy, and what it shows.
-    pub(super) fn hierarchy_and_tree(&mut self) -> (&mut Hierarchy, Tree<'_>) {
+    pub(super) fn hierarchy_and_stores(&mut self) -> (&mut Hierarchy, SceneStores<'_>) {
         let Self { root, nodes, cores, geometries, instancers, .. } = self;
         let has_instances = !instancers.is_empty();
-        (&mut self.hierarchy, Tree { root: *root, nodes, cores, geometries, has_instances })
+        (&mut self.hierarchy, SceneStores { root: *root, nodes, cores, geometries, has_instances })
     }
 
     /// What a hierarchy shows.
-    pub(super) fn tree(&self) -> Tree<'_> {
+    pub(super) fn stores(&self) -> SceneStores<'_> {
         let has_instances = !self.instancers.is_empty();
-        Tree { root: self.root, nodes: &self.nodes, cores: &self.cores, geometries: &self.geometries, has_instances }
+        SceneStores {
+            root: self.root,
+            nodes: &self.nodes,
+            cores: &self.cores,
+            geometries: &self.geometries,
+            has_instances,
+        }
     }
 
     /// Counts and logs one change.
-    pub(super) fn record(&mut self, object: impl Into<Object>, change: Change) {
+    pub(super) fn record(&mut self, object: impl Into<ObjectKey>, change: Change) {
         let object = object.into();
         self.revision += 1;
         self.log.record(object, change);
         match change {
-            Change::ADDED => self.touch_new(object),
-            Change::REMOVED => self.forget_passing(object),
+            Change::ADDED => self.save_as_absent(object),
+            Change::REMOVED => self.discard_transient(object),
             _ => {}
         }
     }
 
     pub(super) fn node(&self, key: NodeKey) -> Result<&Node> {
-        self.nodes.get(key).ok_or_else(|| stale(key))
+        self.nodes.get(key).ok_or_else(|| stale_key_error(key))
     }
 
     pub(super) fn core_slot(&self, key: CoreKey) -> Result<&CoreSlot> {
-        self.cores.get(key).ok_or_else(|| stale(key))
+        self.cores.get(key).ok_or_else(|| stale_key_error(key))
     }
 }
 
-pub(super) fn stale(object: impl Into<Object>) -> Error {
+pub(super) fn stale_key_error(object: impl Into<ObjectKey>) -> Error {
     Error::StaleKey { object: object.into() }
 }

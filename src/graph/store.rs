@@ -16,7 +16,7 @@ pub(super) struct Store<K, V> {
     /// Every vacant slot that can be used, and some that are in use again.
     free: Vec<u32>,
     /// By slot: whether it is among `free`.
-    is_listed: Vec<bool>,
+    is_in_free_list: Vec<bool>,
 }
 
 /// Generations are odd. A slot that has had the last one is never used again.
@@ -24,7 +24,7 @@ const LAST_GENERATION: u32 = u32::MAX;
 
 impl<K: Key, V> Store<K, V> {
     pub(super) fn new() -> Self {
-        Self { values: KeyMap::new(), generations: vec![0], free: Vec::new(), is_listed: vec![false] }
+        Self { values: KeyMap::new(), generations: vec![0], free: Vec::new(), is_in_free_list: vec![false] }
     }
 
     /// Stores a new object. O(1) amortised.
@@ -50,7 +50,7 @@ impl<K: Key, V> Store<K, V> {
 
     pub(super) fn remove(&mut self, key: K) -> Option<V> {
         let value = self.values.remove(key)?;
-        self.list_free(slot(key));
+        self.push_free_slot(slot(key));
         Some(value)
     }
 
@@ -102,13 +102,13 @@ impl<K: Key, V> Store<K, V> {
     fn take_free_slot(&mut self) -> usize {
         while let Some(slot) = self.free.pop() {
             let slot = slot as usize;
-            self.is_listed[slot] = false;
+            self.is_in_free_list[slot] = false;
             if self.values.key_at(slot).is_none() && self.generations[slot] != LAST_GENERATION {
                 return slot;
             }
         }
         self.generations.push(0);
-        self.is_listed.push(false);
+        self.is_in_free_list.push(false);
         self.generations.len() - 1
     }
 
@@ -117,13 +117,13 @@ impl<K: Key, V> Store<K, V> {
         let old_count = self.generations.len();
         if count > old_count {
             self.generations.resize(count, 0);
-            self.is_listed.resize(count, false);
-            (old_count..count).rev().for_each(|slot| self.list_free(slot));
+            self.is_in_free_list.resize(count, false);
+            (old_count..count).rev().for_each(|slot| self.push_free_slot(slot));
         }
     }
 
-    fn list_free(&mut self, slot: usize) {
-        if !std::mem::replace(&mut self.is_listed[slot], true) {
+    fn push_free_slot(&mut self, slot: usize) {
+        if !std::mem::replace(&mut self.is_in_free_list[slot], true) {
             self.free.push(slot as u32);
         }
     }

@@ -73,7 +73,7 @@ impl Transform {
         if let Self::Pivoted { translation, scale, scale_rotation, pivot, .. } = self {
             return Self::Pivoted { translation, rotation, scale, scale_rotation, pivot };
         }
-        let (scale, _, translation) = self.to_parts();
+        let (scale, _, translation) = self.to_scale_rotation_translation();
         Self::Trs { translation, rotation, scale }
     }
 
@@ -89,7 +89,7 @@ impl Transform {
         }
     }
 
-    fn to_parts(self) -> (DVec3, DQuat, DVec3) {
+    fn to_scale_rotation_translation(self) -> (DVec3, DQuat, DVec3) {
         let affine = match self {
             Self::Trs { translation, rotation, scale } => return (scale, rotation, translation),
             Self::Pivoted { .. } | Self::Matrix(_) => self.to_affine(),

@@ -2,11 +2,11 @@
 
 use slotmap::Key;
 
-use super::assets::Used;
+use super::assets::UseCounted;
 use super::node::Node;
-use super::ranges::{check_core, check_material, check_texture};
 use super::store::Store;
-use super::{Core, NodeKey, Object, Scene};
+use super::value_checks::{check_core, check_material, check_texture};
+use super::{Core, NodeKey, ObjectKey, Scene};
 use crate::{Error, Result};
 
 impl Scene {
@@ -21,15 +21,19 @@ impl Scene {
         self.validate_cores()?;
         self.validate_assets()?;
         self.log.validate(self.root)?;
-        if self.hierarchy.is_up_to_date() { self.hierarchy.validate(self.tree()) } else { Ok(()) }
+        if self.hierarchy.is_up_to_date() { self.hierarchy.validate(self.stores()) } else { Ok(()) }
     }
 
     /// Every link has its counterpart, and the links lead to every node once.
     fn validate_tree(&self) -> Result<()> {
         for (key, node) in self.nodes.iter() {
-            check(node.parent.is_none() == (key == self.root), key, "only the root has no parent")?;
+            require_invariant(node.parent.is_none() == (key == self.root), key, "only the root has no parent")?;
             let links = [node.parent, node.first_child, node.last_child, node.previous_sibling, node.next_sibling];
-            check(links.iter().flatten().all(|&link| self.contains(link)), key, "a link leads out of the scene")?;
+            require_invariant(
+                links.iter().flatten().all(|&link| self.contains(link)),
+                key,
+                "a link leads out of the scene",
+            )?;
 
             let family = |link: Option<NodeKey>| link.map(|link| &self.nodes[link]);
             let first_fits = family(node.first_child)
@@ -39,38 +43,38 @@ impl Scene {
             let next_fits = family(node.next_sibling)
                 .is_none_or(|next| next.parent == node.parent && next.previous_sibling == Some(key));
             let ends_fit = node.first_child.is_some() == node.last_child.is_some();
-            check(first_fits && last_fits && ends_fit, key, "its children are not linked to it")?;
-            check(next_fits, key, "its next sibling is not linked to it")?;
+            require_invariant(first_fits && last_fits && ends_fit, key, "its children are not linked to it")?;
+            require_invariant(next_fits, key, "its next sibling is not linked to it")?;
         }
-        let reached = self.descendants(self.root)?.take(self.nodes.len() + 1).count();
-        check(reached == self.nodes.len(), self.root, "some nodes are not below it, or are there twice")
+        let reached = self.subtree(self.root)?.take(self.nodes.len() + 1).count();
+        require_invariant(reached == self.nodes.len(), self.root, "some nodes are not below it, or are there twice")
     }
 
     /// Every node is among the users of its core, and nobody else.
     fn validate_cores(&self) -> Result<()> {
-        check(*self.core(self.root)? == Core::Group, self.root, "the root is not a group")?;
+        require_invariant(*self.core(self.root)? == Core::Group, self.root, "the root is not a group")?;
         let is_user = |node: &Node, previous, core| node.core == core && node.previous_user == previous;
         let mut user_count = 0;
         for (key, slot) in self.cores.iter() {
             let (mut previous, mut next, mut found) = (None, slot.first_user, 0);
             while let Some(user) = next {
                 let node = self.node(user)?;
-                check(is_user(node, previous, key), user, "it is not linked to the users of its core")?;
+                require_invariant(is_user(node, previous, key), user, "it is not linked to the users of its core")?;
                 (previous, next, found) = (next, node.next_user, found + 1);
-                check(found <= slot.user_count, key, "it has more users than it counts")?;
+                require_invariant(found <= slot.user_count, key, "it has more users than it counts")?;
             }
-            check(found == slot.user_count, key, "it has fewer users than it counts")?;
+            require_invariant(found == slot.user_count, key, "it has fewer users than it counts")?;
             user_count += found;
             check_core(&slot.core)?;
             if let Core::Instance(target) = slot.core {
                 self.node(target)?;
                 let known = self.instancers.get(&target).is_some_and(|cores| cores.contains(&key));
-                check(known, key, "nobody knows what it instances")?;
-                let shows_itself = self.users(key)?.any(|user| self.is_at_or_above(target, user));
-                check(!shows_itself, key, "it shows itself")?;
+                require_invariant(known, key, "nobody knows what it instances")?;
+                let shows_itself = self.users(key)?.any(|user| self.is_ancestor_or_self(target, user));
+                require_invariant(!shows_itself, key, "it shows itself")?;
             }
         }
-        check(user_count == self.nodes.len(), self.root, "some nodes are not users of their cores")
+        require_invariant(user_count == self.nodes.len(), self.root, "some nodes are not users of their cores")
     }
 
     /// Every count is the number of references that there are, and every value is allowed.
@@ -88,8 +92,8 @@ impl Scene {
 }
 
 /// Whether each asset's count is the number of references to it.
-fn validate_counts<K: Key + Into<Object>, V>(
-    assets: &Store<K, Used<V>>,
+fn validate_counts<K: Key + Into<ObjectKey>, V>(
+    assets: &Store<K, UseCounted<V>>,
     references: impl Iterator<Item = K>,
 ) -> Result<()> {
     let mut counts: slotmap::SecondaryMap<K, usize> = assets.keys().map(|key| (key, 0)).collect();
@@ -98,11 +102,11 @@ fn validate_counts<K: Key + Into<Object>, V>(
         *count.ok_or(Error::Defect { object: key.into(), what: "it is referred to, but gone" })? += 1;
     }
     for (key, used) in assets.iter() {
-        check(counts[key] == used.user_count, key, "its users are not those that it counts")?;
+        require_invariant(counts[key] == used.user_count, key, "its users are not those that it counts")?;
     }
     Ok(())
 }
 
-pub(super) fn check(holds: bool, object: impl Into<Object>, what: &'static str) -> Result<()> {
+pub(super) fn require_invariant(holds: bool, object: impl Into<ObjectKey>, what: &'static str) -> Result<()> {
     if holds { Ok(()) } else { Err(Error::Defect { object: object.into(), what }) }
 }

@@ -11,7 +11,7 @@ pub enum Descend {
     /// Visit them.
     Into,
     /// Pass them over; the node is left at once.
-    Past,
+    Skip,
 }
 
 /// What [`Scene::visit`] calls on its way. A closure from a node to `ControlFlow<B, Descend>` is one that only enters.
@@ -71,10 +71,10 @@ impl Scene {
     /// [`Error::StaleKey`](crate::Error::StaleKey).
     pub fn visit<V: Visitor>(&self, top: NodeKey, mut visitor: V) -> Result<ControlFlow<V::Break>> {
         self.node(top)?;
-        Ok(self.walk(top, &mut visitor))
+        Ok(self.traverse(top, &mut visitor))
     }
 
-    fn walk<V: Visitor>(&self, top: NodeKey, visitor: &mut V) -> ControlFlow<V::Break> {
+    fn traverse<V: Visitor>(&self, top: NodeKey, visitor: &mut V) -> ControlFlow<V::Break> {
         let mut node = top;
         loop {
             // 1. Down, as far as there are children.

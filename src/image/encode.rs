@@ -15,10 +15,10 @@ use super::{Aovs, Image};
 use crate::{Error, Result};
 
 /// Turns an image into the content of a file.
-pub(super) type Encode = fn(&Image) -> ImageResult<Vec<u8>>;
+pub(super) type EncodeFn = fn(&Image) -> ImageResult<Vec<u8>>;
 
 /// The encoder for files of this name.
-pub(super) fn for_path(path: &Path) -> Result<Encode> {
+pub(super) fn encoder_for_path(path: &Path) -> Result<EncodeFn> {
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
     match extension.to_ascii_lowercase().as_str() {
         "png" => Ok(png),

@@ -1,12 +1,12 @@
 //! Linear images with what was seen in each pixel, and their way to a display and to files.
 
 mod encode;
-mod metric;
+mod flip;
 mod save;
 mod tonemap;
 
-pub use metric::{PIXELS_PER_DEGREE, flip};
-pub use tonemap::{neutral, srgb_from_linear};
+pub use flip::{PIXELS_PER_DEGREE, flip};
+pub use tonemap::{khronos_pbr_neutral, srgb_from_linear};
 
 use crate::graph::NodeKey;
 use crate::{Error, Result};
@@ -48,7 +48,7 @@ impl Image {
         (!slotmap::Key::is_null(&node)).then_some(node)
     }
 
-    /// What a display shows: each pixel tone mapped by [`neutral`] and sRGB encoded, 8 bits a channel, rounded to nearest.
+    /// What a display shows: each pixel tone mapped by [`khronos_pbr_neutral`] and sRGB encoded, 8 bits a channel, rounded to nearest.
     /// Alpha is linear. A number that is not finite does no harm: NaN and negative numbers are 0, infinity is white. O(pixels).
     pub fn to_rgba8(&self) -> Vec<[u8; 4]> {
         self.color.iter().map(|&pixel| tonemap::rgba8(pixel)).collect()

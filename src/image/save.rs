@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::{Image, encode};
-use crate::whole_file::write_whole;
+use crate::atomic_file::write_atomically;
 use crate::{Error, Result};
 
 impl Image {
@@ -22,10 +22,10 @@ impl Image {
     /// - [`Error::OutOfRange`] where an array has not `width * height` elements.
     pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
         let path = path.as_ref();
-        let encode = encode::for_path(path)?;
+        let encode = encode::encoder_for_path(path)?;
         self.validate()?;
         let bytes = encode(self).map_err(|source| Error::Image { path: path.to_owned(), source })?;
-        write_whole(path, &bytes).map_err(|source| Error::Io { path: path.to_owned(), source })
+        write_atomically(path, &bytes).map_err(|source| Error::Io { path: path.to_owned(), source })
     }
 
     /// Whether [`save`](Self::save) knows the format of a file of this name: to be asked before a long render.
@@ -33,6 +33,6 @@ impl Image {
     /// # Errors
     /// [`Error::ImageFormat`] where it does not.
     pub fn check_format(path: impl AsRef<Path>) -> Result<()> {
-        encode::for_path(path.as_ref()).map(|_| ())
+        encode::encoder_for_path(path.as_ref()).map(|_| ())
     }
 }

@@ -9,7 +9,7 @@ use glam::Vec3;
 /// NaN and negative components are taken as 0, infinite ones as the largest number.
 ///
 /// Source: <https://github.com/KhronosGroup/ToneMapping/tree/main/PBR_Neutral>.
-pub fn neutral(linear: Vec3) -> Vec3 {
+pub fn khronos_pbr_neutral(linear: Vec3) -> Vec3 {
     /// Where compression starts, before the offset is subtracted.
     const START_COMPRESSION: f32 = 0.8 - 0.04;
     /// How fast bright colours lose saturation.
@@ -41,7 +41,7 @@ pub fn srgb_from_linear(linear: f32) -> f32 {
 pub(super) fn rgba8([r, g, b, a]: [f32; 4]) -> [u8; 4] {
     // A float to integer cast saturates, and takes NaN to 0.
     let quantized = |c: f32| (c * 255.0 + 0.5) as u8;
-    let [r, g, b] = neutral(Vec3::new(r, g, b)).map(srgb_from_linear).to_array().map(quantized);
+    let [r, g, b] = khronos_pbr_neutral(Vec3::new(r, g, b)).map(srgb_from_linear).to_array().map(quantized);
     [r, g, b, quantized(a)]
 }
 
@@ -70,15 +70,15 @@ mod tests {
 
     #[test]
     fn colours_below_the_shoulder_only_lose_the_offset() {
-        assert_eq!(neutral(Vec3::new(0.5, 0.3, 0.2)), Vec3::new(0.5, 0.3, 0.2) - 0.04);
-        assert_eq!(neutral(Vec3::ZERO), Vec3::ZERO);
+        assert_eq!(khronos_pbr_neutral(Vec3::new(0.5, 0.3, 0.2)), Vec3::new(0.5, 0.3, 0.2) - 0.04);
+        assert_eq!(khronos_pbr_neutral(Vec3::ZERO), Vec3::ZERO);
         // Saturated colours have no white to take away.
-        assert_eq!(neutral(Vec3::new(0.7, 0.0, 0.0)), Vec3::new(0.7, 0.0, 0.0));
+        assert_eq!(khronos_pbr_neutral(Vec3::new(0.7, 0.0, 0.0)), Vec3::new(0.7, 0.0, 0.0));
     }
 
     #[test]
     fn brighter_grey_is_never_darker_and_stays_below_one() {
-        let greys = (0..100_000).map(|i| neutral(Vec3::splat(i as f32 * 0.001)).x);
+        let greys = (0..100_000).map(|i| khronos_pbr_neutral(Vec3::splat(i as f32 * 0.001)).x);
         let mut last = -1.0;
         for grey in greys {
             let rounding = 2.0 * f32::EPSILON;

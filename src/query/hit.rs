@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use super::{Placement, Queries, vector};
+use super::{PlacedInstance, Queries, to_dvec3};
 use crate::device::layout::{NONE, Triangle};
 use crate::graph::{GeometryKey, MaterialKey, NodePath};
 
@@ -30,44 +30,44 @@ pub struct Hit {
     /// not asked.
     pub shading_normal: DVec3,
     /// Whether the ray came, or the point lies, on the other side than the normals: behind.
-    pub back: bool,
+    pub back_face: bool,
 }
 
 /// What is known of a hit until it turns out to be wanted.
 #[derive(Clone, Copy)]
-pub(super) struct Found {
+pub(super) struct HitCandidate {
     /// Index into the `instances` array.
-    pub(super) slot: u32,
+    pub(super) instance_index: u32,
     /// Index into the `triangles` array.
     pub(super) triangle: u32,
     /// The triangle's index in its geometry.
     pub(super) primitive: u32,
-    pub(super) weights: DVec3,
+    pub(super) barycentrics: DVec3,
     pub(super) distance: f64,
     pub(super) back: bool,
 }
 
-impl Found {
+impl HitCandidate {
     /// By distance, then by instance and triangle: a strict order.
-    pub(super) fn is_before(&self, other: &Self) -> bool {
-        (self.distance, self.slot, self.primitive) < (other.distance, other.slot, other.primitive)
+    pub(super) fn precedes(&self, other: &Self) -> bool {
+        (self.distance, self.instance_index, self.primitive) < (other.distance, other.instance_index, other.primitive)
     }
 }
 
 impl Queries<'_> {
-    pub(super) fn hit(&self, found: &Found) -> Option<Hit> {
+    pub(super) fn hit(&self, found: &HitCandidate) -> Option<Hit> {
         let arrays = self.compiler.arrays();
-        let source = self.compiler.instance(found.slot, self.hierarchy)?;
-        let placement = Placement::new(found.slot, &arrays.instances[found.slot as usize]);
+        let source = self.compiler.instance(found.instance_index, self.hierarchy)?;
+        let placement = PlacedInstance::new(found.instance_index, &arrays.instances[found.instance_index as usize]);
         let triangle = &arrays.triangles[found.triangle as usize];
-        let corners = [triangle.v0, triangle.v1, triangle.v2].map(vector);
-        let local = weighted(corners, found.weights);
+        let corners = [triangle.v0, triangle.v1, triangle.v2].map(to_dvec3);
+        let local = interpolate(corners, found.barycentrics);
 
         // Normals go to the world by the transposed inverse.
         let to_world = placement.local_from_world.matrix3.transpose();
         let local_normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
         let geometric_normal = (to_world * local_normal.normalize_or_zero()).normalize_or_zero();
-        let vertex_normal = self.vertex_normal(&placement, triangle, found.weights);
+        let vertex_normal = self.vertex_normal(&placement, triangle, found.barycentrics);
         let shading_normal = vertex_normal
             .and_then(|normal| (to_world * normal).try_normalize())
             .map_or(geometric_normal, |normal| if normal.dot(geometric_normal) < 0.0 { -normal } else { normal });
@@ -76,17 +76,17 @@ impl Queries<'_> {
             geometry: source.geometry,
             material: source.material,
             triangle: found.primitive,
-            barycentrics: found.weights,
+            barycentrics: found.barycentrics,
             distance: found.distance,
             position: placement.world_from_local.transform_point3(local) + self.compiler.origin(),
             geometric_normal,
             shading_normal,
-            back: found.back,
+            back_face: found.back,
         })
     }
 
     /// The normal between those of the vertices, local space; `None` where the geometry has none.
-    fn vertex_normal(&self, placement: &Placement<'_>, triangle: &Triangle, weights: DVec3) -> Option<DVec3> {
+    fn vertex_normal(&self, placement: &PlacedInstance<'_>, triangle: &Triangle, weights: DVec3) -> Option<DVec3> {
         let arrays = self.compiler.arrays();
         let streams = &arrays.geometries[placement.instance.geometry as usize];
         if streams.first_normal == NONE {
@@ -95,13 +95,13 @@ impl Queries<'_> {
         let normal_at = |corner: u32| {
             let vertex = arrays.indices[(streams.first_index + 3 * triangle.primitive + corner) as usize];
             let first = (streams.first_normal + 3 * vertex) as usize;
-            vector([arrays.normals[first], arrays.normals[first + 1], arrays.normals[first + 2]])
+            to_dvec3([arrays.normals[first], arrays.normals[first + 1], arrays.normals[first + 2]])
         };
-        Some(weighted([0, 1, 2].map(normal_at), weights))
+        Some(interpolate([0, 1, 2].map(normal_at), weights))
     }
 }
 
 /// The sum of three vectors by their weights.
-pub(super) fn weighted([a, b, c]: [DVec3; 3], weights: DVec3) -> DVec3 {
+pub(super) fn interpolate([a, b, c]: [DVec3; 3], weights: DVec3) -> DVec3 {
     a * weights.x + b * weights.y + c * weights.z
 }

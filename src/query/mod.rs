@@ -5,15 +5,15 @@
 //! triangles. All are exact on triangles, in f64, relative to the render origin. What they see is the geometry as it is drawn,
 //! which the device's f32 matrices put within 2^-22 of its distance to the render origin of where the scene has it.
 
-mod crossing;
+mod containment;
 mod hit;
+mod intersect;
 mod nearest;
-mod placement;
-mod point;
+mod placed_instance;
 mod ray;
 mod region;
 mod region_query;
-mod walk;
+mod stackless_traversal;
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -24,11 +24,11 @@ pub use ray::Ray;
 pub use region::{HalfSpace, Region};
 pub use region_query::Overlap;
 
-use placement::Placement;
-use walk::Walk;
+use placed_instance::PlacedInstance;
+use stackless_traversal::StacklessTraversal;
 
 use crate::compile::Compiler;
-use crate::device::layout::{Instance, Node, PrimitiveRange, Triangle};
+use crate::device::layout::{InstanceRecord, Node, PrimitiveRange, Triangle};
 use crate::graph::{Hierarchy, NodePath, Scene};
 use crate::math::{Aabb, Bounds};
 use crate::{Error, Result};
@@ -36,7 +36,7 @@ use crate::{Error, Result};
 /// Asks a scene, in world space. Never stale: the scene cannot be edited meanwhile.
 ///
 /// Only what can be seen is found: nodes that are visible, chosen by their switches and levels of detail, with a mask that
-/// shares a bit with that of the [queries](Self::with_mask) and a matrix that can be inverted. Rays see what camera rays see;
+/// shares a bit with that of the [queries](Self::with_ray_mask) and a matrix that can be inverted. Rays see what camera rays see;
 /// the other queries see both sides of every triangle, and no holes.
 ///
 /// ```
@@ -76,19 +76,19 @@ pub struct Queries<'a> {
 }
 
 impl<'a> Queries<'a> {
-    /// Catches up with the scene, then asks it. Costs what [`Compiler::catch_up`] costs: nothing where nothing changed.
+    /// Catches up with the scene, then asks it. Costs what [`Compiler::compile_from_last_viewpoint`] costs: nothing where nothing changed.
     ///
     /// Levels of detail and billboards are what they are for who looked last; if nobody has, for an eye at the scene's centre.
     ///
     /// # Errors
     /// As [`Compiler::compile`].
     pub fn new(compiler: &'a mut Compiler, scene: &'a mut Scene) -> Result<Self> {
-        compiler.catch_up(scene)?;
-        Self::compiled(compiler, scene)
+        compiler.compile_from_last_viewpoint(scene)?;
+        Self::of_compiled_scene(compiler, scene)
     }
 
     /// Asks a scene that has just been compiled.
-    pub(crate) fn compiled(compiler: &'a Compiler, scene: &'a mut Scene) -> Result<Self> {
+    pub(crate) fn of_compiled_scene(compiler: &'a Compiler, scene: &'a mut Scene) -> Result<Self> {
         let (scene, hierarchy) = scene.with_hierarchy()?;
         Ok(Self { scene, hierarchy, compiler, mask: u32::MAX, visited: AtomicU64::new(0) })
     }
@@ -100,13 +100,13 @@ impl<'a> Queries<'a> {
 
     /// The same queries, for nodes only whose mask shares a bit with this one, the masks above them applied. At first all.
     #[must_use]
-    pub fn with_mask(self, mask: u32) -> Self {
+    pub fn with_ray_mask(self, mask: u32) -> Self {
         Self { mask, ..self }
     }
 
     /// The world box around all that can be found, a little larger for rounding. Empty where there is nothing. O(1).
     pub fn bounds(&self) -> Bounds {
-        let Some(root) = self.compiler.arrays().tlas_nodes.first().filter(|root| !root.is_unused()) else {
+        let Some(root) = self.compiler.arrays().tlas_nodes.first().filter(|root| !root.is_empty()) else {
             return Bounds::EMPTY;
         };
         let relative = Bounds::from(Aabb { min: root.min.into(), max: root.max.into() });
@@ -124,31 +124,34 @@ impl<'a> Queries<'a> {
     }
 
     /// A way through the top level.
-    fn top(&self) -> Walk<'_> {
-        Walk::new(&self.compiler.arrays().tlas_nodes, &self.visited)
+    fn traverse_tlas(&self) -> StacklessTraversal<'_> {
+        StacklessTraversal::new(&self.compiler.arrays().tlas_nodes, &self.visited)
     }
 
     /// A way through the bottom level of an instance.
-    fn bottom(&self, placement: &Placement<'_>) -> Walk<'_> {
-        Walk::new(&self.compiler.arrays().blas_nodes[placement.instance.first_node as usize..], &self.visited)
+    fn traverse_blas(&self, placement: &PlacedInstance<'_>) -> StacklessTraversal<'_> {
+        StacklessTraversal::new(
+            &self.compiler.arrays().blas_nodes[placement.instance.first_node as usize..],
+            &self.visited,
+        )
     }
 
     /// The instance of a leaf of the top level, unless the mask hides it.
-    fn instance(&self, leaf: &Node) -> Option<(u32, &Instance)> {
-        let slot = leaf.primitives.first();
+    fn instance(&self, leaf: &Node) -> Option<(u32, &InstanceRecord)> {
+        let slot = leaf.primitives.first_primitive();
         let instance = &self.compiler.arrays().instances[slot as usize];
         (instance.mask & self.mask != 0).then_some((slot, instance))
     }
 
     /// As [`instance`](Self::instance), with its matrices.
-    fn placement(&self, leaf: &Node) -> Option<Placement<'_>> {
-        self.instance(leaf).map(|(slot, instance)| Placement::new(slot, instance))
+    fn placement(&self, leaf: &Node) -> Option<PlacedInstance<'_>> {
+        self.instance(leaf).map(|(slot, instance)| PlacedInstance::new(slot, instance))
     }
 
     /// The triangles of a leaf of a bottom level, with the index of the first.
-    fn triangles(&self, placement: &Placement<'_>, range: PrimitiveRange) -> (u32, &[Triangle]) {
-        let first = placement.instance.first_triangle + range.first();
-        (first, &self.compiler.arrays().triangles[first as usize..][..range.count() as usize])
+    fn triangles(&self, placement: &PlacedInstance<'_>, range: PrimitiveRange) -> (u32, &[Triangle]) {
+        let first = placement.instance.first_triangle + range.first_primitive();
+        (first, &self.compiler.arrays().triangles[first as usize..][..range.primitive_count() as usize])
     }
 
     /// The nodes of these slots, in the order of the slots.
@@ -159,7 +162,7 @@ impl<'a> Queries<'a> {
 }
 
 /// A corner in the arrays.
-fn vector(v: [f32; 3]) -> DVec3 {
+fn to_dvec3(v: [f32; 3]) -> DVec3 {
     DVec3::from_array(v.map(f64::from))
 }
 

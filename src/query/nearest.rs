@@ -2,8 +2,8 @@
 
 use glam::DVec3;
 
-use super::hit::{Found, Hit, weighted};
-use super::{Placement, Queries, require, vector};
+use super::hit::{Hit, HitCandidate, interpolate};
+use super::{PlacedInstance, Queries, require, to_dvec3};
 use crate::Result;
 use crate::device::layout::{Node, Triangle};
 
@@ -22,68 +22,76 @@ impl Queries<'_> {
     pub fn nearest(&self, point: DVec3, max_distance: f64) -> Result<Option<Hit>> {
         require(point.is_finite(), "point", &point, "finite")?;
         require(max_distance >= 0.0, "greatest distance", &max_distance, "at least 0")?;
-        let mut search = Search { queries: self, point: self.relative(point), max_distance, nearest: None };
+        let mut search = NearestSearch { queries: self, point: self.relative(point), max_distance, nearest: None };
         // 1. What is likely to be near: a first bound.
-        if let Some(leaf) = self.top().dive(|node| search.distance(node)) {
-            search.dive_into(leaf);
+        if let Some(leaf) = self.traverse_tlas().descend_to_nearest_leaf(|node| search.distance(node)) {
+            search.search_nearest_leaf(leaf);
         }
         // 2. Whatever may be nearer.
-        let mut top = self.top();
-        while let Some(leaf) = top.next_leaf(|node| search.distance(node) <= search.limit()) {
-            search.look_into(leaf);
+        let mut top = self.traverse_tlas();
+        while let Some(leaf) = top.next_leaf(|node| search.distance(node) <= search.current_radius()) {
+            search.search_instance(leaf);
         }
         Ok(search.nearest.and_then(|found| self.hit(&found)))
     }
 }
 
 /// Far above the rounding of a distance, relative to what it is computed from.
-const SLACK: f64 = 1e-12;
+const DISTANCE_ERROR_BOUND: f64 = 1e-12;
 
-struct Search<'a> {
+struct NearestSearch<'a> {
     queries: &'a Queries<'a>,
     /// Relative to the render origin.
     point: DVec3,
     max_distance: f64,
-    nearest: Option<Found>,
+    nearest: Option<HitCandidate>,
 }
 
-impl Search<'_> {
+impl NearestSearch<'_> {
     /// How far it is to what is of interest.
-    fn limit(&self) -> f64 {
+    fn current_radius(&self) -> f64 {
         self.nearest.map_or(self.max_distance, |nearest| nearest.distance)
     }
 
     /// How far it is to a box of the top level.
     fn distance(&self, node: &Node) -> f64 {
-        self.point.distance(self.point.clamp(vector(node.min), vector(node.max)))
+        self.point.distance(self.point.clamp(to_dvec3(node.min), to_dvec3(node.max)))
     }
 
     /// Looks at one leaf of the instance only.
-    fn dive_into(&mut self, leaf: &Node) {
+    fn search_nearest_leaf(&mut self, leaf: &Node) {
         let Some(placement) = self.queries.placement(leaf) else { return };
-        let local = LocalPoint::new(&placement, self.point);
-        if let Some(leaf) = self.queries.bottom(&placement).dive(|node| local.distance(node)) {
-            self.look_at(&placement, leaf);
+        let local = PointInInstance::new(&placement, self.point);
+        if let Some(leaf) = self.queries.traverse_blas(&placement).descend_to_nearest_leaf(|node| local.distance(node))
+        {
+            self.search_leaf(&placement, leaf);
         }
     }
 
-    fn look_into(&mut self, leaf: &Node) {
+    fn search_instance(&mut self, leaf: &Node) {
         let Some(placement) = self.queries.placement(leaf) else { return };
-        let local = LocalPoint::new(&placement, self.point);
-        let mut bottom = self.queries.bottom(&placement);
-        while let Some(leaf) = bottom.next_leaf(|node| local.distance(node) <= self.limit()) {
-            self.look_at(&placement, leaf);
+        let local = PointInInstance::new(&placement, self.point);
+        let mut bottom = self.queries.traverse_blas(&placement);
+        while let Some(leaf) = bottom.next_leaf(|node| local.distance(node) <= self.current_radius()) {
+            self.search_leaf(&placement, leaf);
         }
     }
 
     /// Compares with the triangles of a leaf.
-    fn look_at(&mut self, placement: &Placement<'_>, leaf: &Node) {
+    fn search_leaf(&mut self, placement: &PlacedInstance<'_>, leaf: &Node) {
         let (first, triangles) = self.queries.triangles(placement, leaf.primitives);
         for (index, triangle) in (first..).zip(triangles) {
             let (weights, distance, back) = nearest_on(placement, triangle, self.point);
             let (slot, primitive) = (placement.slot, triangle.primitive);
-            let found = Found { slot, triangle: index, primitive, weights, distance, back };
-            if distance <= self.limit() && self.nearest.is_none_or(|nearest| found.is_before(&nearest)) {
+            let found = HitCandidate {
+                instance_index: slot,
+                triangle: index,
+                primitive,
+                barycentrics: weights,
+                distance,
+                back,
+            };
+            if distance <= self.current_radius() && self.nearest.is_none_or(|nearest| found.precedes(&nearest)) {
                 self.nearest = Some(found);
             }
         }
@@ -91,21 +99,21 @@ impl Search<'_> {
 }
 
 /// A point, seen from an instance.
-struct LocalPoint<'a> {
-    placement: &'a Placement<'a>,
+struct PointInInstance<'a> {
+    placement: &'a PlacedInstance<'a>,
     world: DVec3,
     local: DVec3,
 }
 
-impl<'a> LocalPoint<'a> {
-    fn new(placement: &'a Placement<'a>, world: DVec3) -> Self {
+impl<'a> PointInInstance<'a> {
+    fn new(placement: &'a PlacedInstance<'a>, world: DVec3) -> Self {
         Self { placement, world, local: placement.local_from_world.transform_point3(world) }
     }
 
     /// A lower bound of the world distance to a box of the bottom level: how far the plane is that touches the box in the
     /// direction of its locally nearest point. Exact but for instances that are sheared.
     fn distance(&self, node: &Node) -> f64 {
-        let [min, max] = [vector(node.min), vector(node.max)];
+        let [min, max] = [to_dvec3(node.min), to_dvec3(node.max)];
         let nearest = self.local.clamp(min, max);
         let world_from_local = &self.placement.world_from_local;
         let away = self.world - world_from_local.transform_point3(nearest);
@@ -117,7 +125,7 @@ impl<'a> LocalPoint<'a> {
         let along = world_from_local.matrix3.transpose() * (away / length);
         let reach = (along * (min - nearest)).max(along * (max - nearest)).element_sum();
         // Less by what rounding may have added: what lies exactly at the limit is found.
-        (length - reach - (length + reach.abs()) * SLACK).max(0.0)
+        (length - reach - (length + reach.abs()) * DISTANCE_ERROR_BOUND).max(0.0)
     }
 }
 
@@ -128,9 +136,9 @@ fn is_behind([a, b, c]: [DVec3; 3], point: DVec3) -> bool {
 }
 
 /// The weights of the point of a triangle that is nearest to one of the world, how far it is, and whether that is behind.
-fn nearest_on(placement: &Placement<'_>, triangle: &Triangle, point: DVec3) -> (DVec3, f64, bool) {
+fn nearest_on(placement: &PlacedInstance<'_>, triangle: &Triangle, point: DVec3) -> (DVec3, f64, bool) {
     // Relative to the point, which is then the origin.
-    let local = [triangle.v0, triangle.v1, triangle.v2].map(vector);
+    let local = [triangle.v0, triangle.v1, triangle.v2].map(to_dvec3);
     let corners = local.map(|corner| placement.world_from_local.transform_point3(corner) - point);
     let [a, b, c] = corners;
     let normal = (b - a).cross(c - a);
@@ -141,11 +149,11 @@ fn nearest_on(placement: &Placement<'_>, triangle: &Triangle, point: DVec3) -> (
         [normal.dot((c - a).cross(a)), normal.dot(a.cross(b - a))].map(|area| area / normal.length_squared());
     let inside = DVec3::new(1.0 - of_b - of_c, of_b, of_c);
     let mut weights = nearest_on_edge(a, b).extend(0.0);
-    let mut distance = weighted(corners, weights).length();
+    let mut distance = interpolate(corners, weights).length();
     let [bc, ca] = [nearest_on_edge(b, c), nearest_on_edge(c, a)];
     let others = [DVec3::new(0.0, bc.x, bc.y), DVec3::new(ca.y, 0.0, ca.x), inside];
     for other in others.into_iter().filter(|weights| weights.min_element() >= 0.0) {
-        let other_distance = weighted(corners, other).length();
+        let other_distance = interpolate(corners, other).length();
         if other_distance < distance {
             (weights, distance) = (other, other_distance);
         }

@@ -4,12 +4,12 @@ use std::ops::ControlFlow;
 
 use glam::DVec3;
 
-use super::crossing::{Crossing, LevelRay};
-use super::hit::{Found, Hit};
-use super::{Placement, Queries, require};
+use super::hit::{Hit, HitCandidate};
+use super::intersect::{TraversalRay, TriangleIntersection};
+use super::{PlacedInstance, Queries, require};
 use crate::Result;
 use crate::device::layout::{self, InstanceFlags, NONE, Triangle};
-use crate::trace::kernel::{KernelScene, closest_hit, is_hole};
+use crate::trace::kernel::{KernelScene, closest_hit, fails_alpha_test};
 
 /// A ray in world space.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -55,10 +55,10 @@ impl Queries<'_> {
     ///
     /// # Errors
     /// As [`Ray::validate`].
-    pub fn closest(&self, ray: &Ray) -> Result<Option<Hit>> {
-        let mut closest: Option<Found> = None;
+    pub fn closest_hit(&self, ray: &Ray) -> Result<Option<Hit>> {
+        let mut closest: Option<HitCandidate> = None;
         self.for_each_crossing(ray, |found| {
-            if closest.is_none_or(|closest| found.is_before(&closest)) {
+            if closest.is_none_or(|closest| found.precedes(&closest)) {
                 closest = Some(found);
             }
             ControlFlow::Continue(closest.map_or(ray.t_max, |closest| closest.distance))
@@ -70,7 +70,7 @@ impl Queries<'_> {
     ///
     /// # Errors
     /// As [`Ray::validate`].
-    pub fn any(&self, ray: &Ray) -> Result<bool> {
+    pub fn any_hit(&self, ray: &Ray) -> Result<bool> {
         let mut any = false;
         self.for_each_crossing(ray, |_| {
             any = true;
@@ -79,70 +79,79 @@ impl Queries<'_> {
         Ok(any)
     }
 
-    /// Every hit, by distance; equal ones in the order that [`closest`](Self::closest) prefers. O(log triangles + hits) as a
+    /// Every hit, by distance; equal ones in the order that [`closest`](Self::closest_hit) prefers. O(log triangles + hits) as a
     /// rule.
     ///
     /// # Errors
     /// As [`Ray::validate`].
-    pub fn all(&self, ray: &Ray) -> Result<Vec<Hit>> {
+    pub fn all_hits(&self, ray: &Ray) -> Result<Vec<Hit>> {
         let mut all = Vec::new();
         self.for_each_crossing(ray, |found| {
             all.push(found);
             ControlFlow::Continue(ray.t_max)
         })?;
         all.sort_unstable_by(|a, b| {
-            a.distance.total_cmp(&b.distance).then((a.slot, a.primitive).cmp(&(b.slot, b.primitive)))
+            a.distance
+                .total_cmp(&b.distance)
+                .then((a.instance_index, a.primitive).cmp(&(b.instance_index, b.primitive)))
         });
         // A triangle that is in several leaves counts once.
-        all.dedup_by_key(|found| (found.slot, found.primitive));
+        all.dedup_by_key(|found| (found.instance_index, found.primitive));
         Ok(all.iter().filter_map(|found| self.hit(found)).collect())
     }
 
     /// What the kernel hits by this ray of its own, which is relative to the render origin: the pixel's truth, tie or not.
-    pub(crate) fn closest_drawn(&self, ray: &layout::Ray) -> Option<Hit> {
+    pub(crate) fn closest_hit_of_kernel(&self, ray: &layout::RayRecord) -> Option<Hit> {
         let hit = closest_hit(&KernelScene::new(self.compiler.arrays()), ray, self.mask);
-        self.drawn(&hit, f64::from(hit.t))
+        self.hit_from_record(&hit, f64::from(hit.t))
     }
 
     /// What the kernel hit, at a distance in the ray's own terms.
-    pub(crate) fn drawn(&self, hit: &layout::Hit, distance: f64) -> Option<Hit> {
+    pub(crate) fn hit_from_record(&self, hit: &layout::HitRecord, distance: f64) -> Option<Hit> {
         let (u, v) = (f64::from(hit.u), f64::from(hit.v));
-        let found = Found {
-            slot: hit.instance,
+        let found = HitCandidate {
+            instance_index: hit.instance,
             triangle: hit.triangle,
             primitive: hit.primitive,
-            weights: DVec3::new(1.0 - u - v, u, v),
+            barycentrics: DVec3::new(1.0 - u - v, u, v),
             distance,
-            back: hit.back != 0,
+            back: hit.back_face != 0,
         };
         if hit.instance == NONE { None } else { self.hit(&found) }
     }
 
     /// Finds what the ray meets in no particular order. `found` says how far it is of interest from then on.
-    fn for_each_crossing(&self, ray: &Ray, mut found: impl FnMut(Found) -> ControlFlow<(), f64>) -> Result<()> {
+    fn for_each_crossing(&self, ray: &Ray, mut found: impl FnMut(HitCandidate) -> ControlFlow<(), f64>) -> Result<()> {
         ray.validate()?;
         let origin = self.relative(ray.origin);
-        let world = LevelRay::new(origin, ray.direction);
+        let world = TraversalRay::new(origin, ray.direction);
         let mut t_max = ray.t_max;
-        let mut top = self.top();
-        while let Some(leaf) = top.next_leaf(|node| world.meets(node, ray.t_min, t_max)) {
+        let mut top = self.traverse_tlas();
+        while let Some(leaf) = top.next_leaf(|node| world.intersects_box(node, ray.t_min, t_max)) {
             let Some(placement) = self.placement(leaf) else { continue };
-            let local = LevelRay::new(
+            let local = TraversalRay::new(
                 placement.local_from_world.transform_point3(origin),
                 placement.local_from_world.transform_vector3(ray.direction),
             );
-            let mut bottom = self.bottom(&placement);
-            while let Some(leaf) = bottom.next_leaf(|node| local.meets(node, ray.t_min, t_max)) {
+            let mut bottom = self.traverse_blas(&placement);
+            while let Some(leaf) = bottom.next_leaf(|node| local.intersects_box(node, ray.t_min, t_max)) {
                 let (first, triangles) = self.triangles(&placement, leaf.primitives);
                 for (index, triangle) in (first..).zip(triangles) {
-                    let Some(crossing) = local.cross(triangle) else { continue };
+                    let Some(crossing) = local.intersect_triangle(triangle) else { continue };
                     let in_range = ray.t_min <= crossing.t && crossing.t <= t_max;
-                    if !in_range || !self.is_seen(&placement, triangle, &crossing) {
+                    if !in_range || !self.is_accepted(&placement, triangle, &crossing) {
                         continue;
                     }
-                    let Crossing { t, weights, back } = crossing;
+                    let TriangleIntersection { t, weights, back } = crossing;
                     let (slot, primitive) = (placement.slot, triangle.primitive);
-                    match found(Found { slot, triangle: index, primitive, weights, distance: t, back }) {
+                    match found(HitCandidate {
+                        instance_index: slot,
+                        triangle: index,
+                        primitive,
+                        barycentrics: weights,
+                        distance: t,
+                        back,
+                    }) {
                         ControlFlow::Continue(limit) => t_max = limit,
                         ControlFlow::Break(()) => return Ok(()),
                     }
@@ -153,7 +162,12 @@ impl Queries<'_> {
     }
 
     /// Whether a camera ray would stop here: the kernel's rules.
-    fn is_seen(&self, placement: &Placement<'_>, triangle: &Triangle, crossing: &Crossing) -> bool {
+    fn is_accepted(
+        &self,
+        placement: &PlacedInstance<'_>,
+        triangle: &Triangle,
+        crossing: &TriangleIntersection,
+    ) -> bool {
         let instance = placement.instance;
         let flags = InstanceFlags::from_bits_retain(instance.flags);
         if crossing.back && flags.contains(InstanceFlags::CULL_BACK) {
@@ -161,6 +175,6 @@ impl Queries<'_> {
         }
         let [u, v] = [crossing.weights.y, crossing.weights.z].map(|weight| weight as f32);
         let scene = KernelScene::new(self.compiler.arrays());
-        !(flags.contains(InstanceFlags::ALPHA_MASK) && is_hole(&scene, instance, triangle, u, v))
+        !(flags.contains(InstanceFlags::ALPHA_MASK) && fails_alpha_test(&scene, instance, triangle, u, v))
     }
 }

@@ -66,18 +66,18 @@ impl Region {
 
 /// How a box lies to a region.
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum Side {
+pub(super) enum Containment {
     Outside,
-    Across,
+    Intersecting,
     Inside,
 }
 
 /// A region in the space of one level.
-pub(super) struct LevelRegion {
+pub(super) struct TraversalRegion {
     half_spaces: Vec<HalfSpace>,
 }
 
-impl LevelRegion {
+impl TraversalRegion {
     /// The region where `origin` is the origin.
     pub(super) fn relative(region: &Region, origin: DVec3) -> Self {
         let shift = |half: &HalfSpace| HalfSpace { offset: half.offset - half.normal.dot(origin), ..*half };
@@ -94,31 +94,31 @@ impl LevelRegion {
         Self { half_spaces: self.half_spaces.iter().map(transform).collect() }
     }
 
-    /// How the box of a node lies to it. `Across` is a maybe.
-    pub(super) fn side(&self, node: &Node) -> Side {
-        let [min, max] = [super::vector(node.min), super::vector(node.max)];
+    /// How the box of a node lies to it. `Intersecting` is a maybe.
+    pub(super) fn classify_box(&self, node: &Node) -> Containment {
+        let [min, max] = [super::to_dvec3(node.min), super::to_dvec3(node.max)];
         let (center, half) = ((min + max) * 0.5, (max - min) * 0.5);
-        let mut side = Side::Inside;
+        let mut side = Containment::Inside;
         for half_space in &self.half_spaces {
             let height = half_space.normal.dot(center) - half_space.offset;
             let reach = half_space.normal.abs().dot(half);
             if height > reach {
-                return Side::Outside;
+                return Containment::Outside;
             }
             if height > -reach {
-                side = Side::Across;
+                side = Containment::Intersecting;
             }
         }
         side
     }
 
     pub(super) fn contains(&self, point: DVec3) -> bool {
-        self.half_spaces.iter().all(|half_space| half_space.height(point) <= 0.0)
+        self.half_spaces.iter().all(|half_space| half_space.signed_distance(point) <= 0.0)
     }
 
     /// Whether any of the triangle lies in it: clips it by one plane after the other (I. Sutherland, G. Hodgman, *Reentrant
     /// Polygon Clipping*, 1974).
-    pub(super) fn meets(&self, triangle: [DVec3; 3], clipper: &mut Clipper) -> bool {
+    pub(super) fn overlaps_triangle(&self, triangle: [DVec3; 3], clipper: &mut Clipper) -> bool {
         clipper.polygon.clear();
         clipper.polygon.extend(triangle);
         self.half_spaces.iter().all(|half_space| clipper.clip(half_space))
@@ -127,7 +127,7 @@ impl LevelRegion {
 
 impl HalfSpace {
     /// How far the point is out of it, in units of the normal's length.
-    fn height(&self, point: DVec3) -> f64 {
+    fn signed_distance(&self, point: DVec3) -> f64 {
         self.normal.dot(point) - self.offset
     }
 }
@@ -144,9 +144,9 @@ impl Clipper {
     fn clip(&mut self, half_space: &HalfSpace) -> bool {
         self.clipped.clear();
         let Some(&(mut previous)) = self.polygon.last() else { return false };
-        let mut previous_height = half_space.height(previous);
+        let mut previous_height = half_space.signed_distance(previous);
         for &corner in &self.polygon {
-            let height = half_space.height(corner);
+            let height = half_space.signed_distance(corner);
             if (height > 0.0) != (previous_height > 0.0) {
                 self.clipped.push(previous.lerp(corner, previous_height / (previous_height - height)));
             }

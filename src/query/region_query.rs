@@ -1,7 +1,7 @@
 //! Queries by region: what overlaps it.
 
-use super::region::{Clipper, LevelRegion, Region, Side};
-use super::{Placement, Queries, vector};
+use super::region::{Clipper, Containment, Region, TraversalRegion};
+use super::{PlacedInstance, Queries, to_dvec3};
 use crate::device::layout::Triangle;
 use crate::graph::NodePath;
 
@@ -21,14 +21,14 @@ impl Queries<'_> {
     /// than positions are rounded may be found or not. O(log triangles) for each node at the boundary, as a rule, and
     /// O(log instances) for each that lies well inside.
     pub fn overlapping(&self, region: &Region, overlap: Overlap) -> Vec<NodePath> {
-        let world = LevelRegion::relative(region, self.compiler.origin());
+        let world = TraversalRegion::relative(region, self.compiler.origin());
         let mut clipper = Clipper::default();
         let mut slots = Vec::new();
-        let mut top = self.top();
-        while let Some(leaf) = top.next_leaf(|node| world.side(node) != Side::Outside) {
+        let mut top = self.traverse_tlas();
+        while let Some(leaf) = top.next_leaf(|node| world.classify_box(node) != Containment::Outside) {
             let Some((slot, instance)) = self.instance(leaf) else { continue };
-            let is_found = world.side(leaf) == Side::Inside || {
-                let placement = Placement::new(slot, instance);
+            let is_found = world.classify_box(leaf) == Containment::Inside || {
+                let placement = PlacedInstance::new(slot, instance);
                 let local = world.transformed(&placement.world_from_local);
                 match overlap {
                     Overlap::Touching => self.touches(&placement, &local, &mut clipper),
@@ -43,18 +43,18 @@ impl Queries<'_> {
     }
 
     /// Whether some triangle meets the region.
-    fn touches(&self, placement: &Placement<'_>, region: &LevelRegion, clipper: &mut Clipper) -> bool {
-        let mut bottom = self.bottom(placement);
+    fn touches(&self, placement: &PlacedInstance<'_>, region: &TraversalRegion, clipper: &mut Clipper) -> bool {
+        let mut bottom = self.traverse_blas(placement);
         // A box that lies inside has triangles, which lie there too.
         let mut is_sure = false;
         let mut enter = |node: &_| {
-            let side = region.side(node);
-            is_sure |= side == Side::Inside;
-            side == Side::Across && !is_sure
+            let side = region.classify_box(node);
+            is_sure |= side == Containment::Inside;
+            side == Containment::Intersecting && !is_sure
         };
         while let Some(leaf) = bottom.next_leaf(&mut enter) {
             let (_, triangles) = self.triangles(placement, leaf.primitives);
-            if triangles.iter().any(|triangle| region.meets(corners(triangle), clipper)) {
+            if triangles.iter().any(|triangle| region.overlaps_triangle(corners(triangle), clipper)) {
                 return true;
             }
         }
@@ -62,13 +62,13 @@ impl Queries<'_> {
     }
 
     /// Whether every triangle lies in the region.
-    fn is_inside(&self, placement: &Placement<'_>, region: &LevelRegion) -> bool {
-        let mut bottom = self.bottom(placement);
+    fn is_inside(&self, placement: &PlacedInstance<'_>, region: &TraversalRegion) -> bool {
+        let mut bottom = self.traverse_blas(placement);
         let mut is_out = false;
         let mut enter = |node: &_| {
-            let side = region.side(node);
-            is_out |= side == Side::Outside;
-            side == Side::Across && !is_out
+            let side = region.classify_box(node);
+            is_out |= side == Containment::Outside;
+            side == Containment::Intersecting && !is_out
         };
         while let Some(leaf) = bottom.next_leaf(&mut enter) {
             let (_, triangles) = self.triangles(placement, leaf.primitives);
@@ -81,5 +81,5 @@ impl Queries<'_> {
 }
 
 fn corners(triangle: &Triangle) -> [glam::DVec3; 3] {
-    [triangle.v0, triangle.v1, triangle.v2].map(vector)
+    [triangle.v0, triangle.v1, triangle.v2].map(to_dvec3)
 }

@@ -1,20 +1,20 @@
 //! The renderer: one call a frame.
 
-mod device;
-mod rays;
+mod active_tracer;
+mod ray_batches;
 mod report;
 mod view;
 
 use std::time::{Duration, Instant};
 
-pub use device::DeviceChoice;
-pub use rays::ClosestHits;
+pub use active_tracer::DeviceChoice;
+pub use ray_batches::ClosestHits;
 pub use report::FrameReport;
 pub use view::{Sky, View};
 
 use glam::DVec3;
 
-use device::Device;
+use active_tracer::ActiveTracer;
 
 use crate::Result;
 use crate::compile::{CompileReport, Compiler};
@@ -51,7 +51,7 @@ use crate::trace::{DeviceInfo, FrameRequest, Tracer};
 /// ```
 pub struct Renderer {
     compiler: Compiler,
-    device: Device,
+    device: ActiveTracer,
 }
 
 /// How a [`Renderer`] is set up.
@@ -66,57 +66,57 @@ impl Renderer {
     ///
     /// # Errors
     /// [`Error::NoGpu`](crate::Error::NoGpu) if [`DeviceChoice::Gpu`] was asked for and there is none, naming each adapter and what is wrong
-    /// with it. [`DeviceChoice::Auto`] falls back to the CPU instead: see [`fallback`](Self::fallback).
+    /// with it. [`DeviceChoice::Auto`] falls back to the CPU instead: see [`fallback_reason`](Self::fallback_reason).
     pub fn new(options: &RendererOptions) -> Result<Self> {
-        Ok(Self { compiler: Compiler::new(), device: Device::open(options.device)? })
+        Ok(Self { compiler: Compiler::new(), device: ActiveTracer::open(options.device)? })
     }
 
-    /// A renderer with an executor of the application's: a `trace::gpu::GpuTracer` on the
+    /// A renderer with an executor of the application's: a `trace::gpu_tracer::GpuTracer` on the
     /// application's own device, say. Should that device be lost, every call fails with
     /// [`Error::DeviceLost`](crate::Error::DeviceLost) until [`set_tracer`](Self::set_tracer).
     pub fn with_tracer(tracer: impl Tracer + 'static) -> Self {
-        Self { compiler: Compiler::new(), device: Device::of_application(Box::new(tracer)) }
+        Self { compiler: Compiler::new(), device: ActiveTracer::from_tracer(Box::new(tracer)) }
     }
 
     /// Goes on with another executor of the application's, which is then given the scene as it was compiled: nothing is built
     /// again. On a new device after the old one was lost, say.
     pub fn set_tracer(&mut self, tracer: impl Tracer + 'static) {
-        self.device = Device::of_application(Box::new(tracer));
+        self.device = ActiveTracer::from_tracer(Box::new(tracer));
     }
 
     /// Why [`DeviceChoice::Auto`] came down to the CPU; `None` if it did not.
-    pub fn fallback(&self) -> Option<&str> {
+    pub fn fallback_reason(&self) -> Option<&str> {
         self.device.fallback()
     }
 
     /// What traces.
-    pub fn device(&self) -> &DeviceInfo {
+    pub fn device_info(&self) -> &DeviceInfo {
         self.device.tracer().device()
     }
 
     /// The GPU that traces, for work of the application's own on its device; `None` if none does. It has the scene as of the
-    /// last [`update`](Self::update) or [`render`](Self::render). When its device is lost the next call replaces it.
+    /// last [`prepare`](Self::prepare) or [`render`](Self::render). When its device is lost the next call replaces it.
     #[cfg(feature = "gpu")]
-    pub fn gpu(&mut self) -> Option<&mut GpuTracer> {
+    pub fn gpu_tracer(&mut self) -> Option<&mut GpuTracer> {
         self.device.tracer_mut().as_gpu()
     }
 
     /// Brings the device up to date with the scene and draws nothing: for rays of the application's own on the
-    /// [GPU](Self::gpu). Costs what [`Compiler::catch_up`] and the copy of what changed cost.
+    /// [GPU](Self::gpu_tracer). Costs what [`Compiler::compile_from_last_viewpoint`] and the copy of what changed cost.
     ///
     /// # Errors
     /// As [`render`](Self::render).
-    pub fn update(&mut self, scene: &mut Scene) -> Result<CompileReport> {
+    pub fn prepare(&mut self, scene: &mut Scene) -> Result<CompileReport> {
         self.device.recover()?;
-        let report = self.compiler.catch_up(scene)?;
+        let report = self.compiler.compile_from_last_viewpoint(scene)?;
         let uploaded = self.device.tracer_mut().upload(self.compiler.arrays_mut());
-        self.device.noted(uploaded)?;
+        self.device.record_failure(uploaded)?;
         Ok(report)
     }
 
     /// The point of the world that is (0, 0, 0) on the device, where numbers are f32: it follows the camera. It may move with each
-    /// [`update`](Self::update) and [`render`](Self::render).
-    pub fn origin(&self) -> DVec3 {
+    /// [`prepare`](Self::prepare) and [`render`](Self::render).
+    pub fn render_origin(&self) -> DVec3 {
         self.compiler.origin()
     }
 
@@ -133,25 +133,25 @@ impl Renderer {
         self.device.recover()?;
 
         // 1. Catch up with the scene.
-        let compile = self.compiler.compile(scene, view.observer())?;
+        let compile = self.compiler.compile(scene, view.viewpoint())?;
 
         // 2. Copy what changed.
         let upload_start = Instant::now();
         let uploaded = self.device.tracer_mut().upload(self.compiler.arrays_mut());
-        let uploaded_bytes = self.device.noted(uploaded)?;
+        let uploaded_bytes = self.device.record_failure(uploaded)?;
         let upload_time = upload_start.elapsed();
 
         // 3. Trace.
         let trace_start = Instant::now();
         let arrays = self.compiler.arrays();
-        let params = view.params(self.compiler.origin(), arrays.lights.len() as u32);
+        let params = view.frame_params(self.compiler.origin(), arrays.lights.len() as u32);
         let request = FrameRequest { params, needs: compile.needs, aovs: view.aovs };
         let traced = self.device.tracer_mut().render(arrays, &request);
-        self.device.noted(traced)?;
+        self.device.record_failure(traced)?;
         let trace_time = trace_start.elapsed();
 
         let report = FrameReport {
-            device: self.device().clone(),
+            device: self.device_info().clone(),
             compile,
             uploaded_bytes,
             upload_time,
@@ -192,9 +192,9 @@ impl Renderer {
     pub fn pick(&mut self, scene: &mut Scene, view: &View, [x, y]: [u32; 2]) -> Result<Option<Hit>> {
         view.validate()?;
         view.check_pixels(x..x.saturating_add(1), y..y.saturating_add(1))?;
-        self.compiler.compile(scene, view.observer())?;
-        let ray = camera_ray(&view.params(self.compiler.origin(), 0), x, y);
-        Ok(Queries::compiled(&self.compiler, scene)?.with_mask(view.ray_mask).closest_drawn(&ray))
+        self.compiler.compile(scene, view.viewpoint())?;
+        let ray = camera_ray(&view.frame_params(self.compiler.origin(), 0), x, y);
+        Ok(Queries::of_compiled_scene(&self.compiler, scene)?.with_ray_mask(view.ray_mask).closest_hit_of_kernel(&ray))
     }
 
     /// Questions to the scene as it is now, by ray, region or point. Catches up with it first.
@@ -208,7 +208,7 @@ impl Renderer {
 
 /// A rendered frame, on the device that made it, until the next one.
 pub struct Frame<'r> {
-    device: &'r Device,
+    device: &'r ActiveTracer,
     report: FrameReport,
 }
 
@@ -224,7 +224,7 @@ impl Frame<'_> {
     /// [`Error::DeviceLost`](crate::Error::DeviceLost), [`Error::OutOfMemory`](crate::Error::OutOfMemory) or
     /// [`Error::Gpu`](crate::Error::Gpu) if the driver fails.
     pub fn image(&self) -> Result<Image> {
-        self.device.noted(self.device.tracer().read())
+        self.device.record_failure(self.device.tracer().read_image())
     }
 
     /// The frame's linear colour where it is, to be drawn to a window: an `Rgba32Float` texture on the renderer's device, to be bound

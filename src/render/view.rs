@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use glam::{DAffine3, DMat3, DVec2, DVec3, Vec3};
 
-use crate::compile::{ImageHeight, Observer};
+use crate::compile::{ViewHeight, Viewpoint};
 use crate::device::layout::FrameParams;
 use crate::graph::{Camera, Core, NodeKey, Scene, Transform};
 use crate::math::Bounds;
@@ -68,7 +68,7 @@ impl View {
         let Core::Camera(camera) = *core else {
             return Err(Error::WrongCore { node: node.into(), expected: "camera", found: core.kind() });
         };
-        let world_from_view = scene.world(node)?;
+        let world_from_view = scene.world_from_local(node)?;
         Ok(Self { world_from_view, ..Self::look_at(DVec3::ZERO, DVec3::NEG_Z, DVec3::Y, camera, width, height) })
     }
 
@@ -126,7 +126,7 @@ impl View {
     /// # Errors
     /// As [`validate`](Self::validate), and [`Error::OutOfRange`] for an image without pixels or a pose whose axes lie in a plane.
     pub fn frustum(&self) -> Result<Region> {
-        self.frustum_of(0..self.width, 0..self.height)
+        self.pixel_frustum(0..self.width, 0..self.height)
     }
 
     /// What can be seen of the world through these columns and rows of pixels, counted from the upper left one: what a
@@ -134,7 +134,7 @@ impl View {
     ///
     /// # Errors
     /// As [`frustum`](Self::frustum), and [`Error::OutOfRange`] for pixels outside the image, or none.
-    pub fn frustum_of(&self, columns: Range<u32>, rows: Range<u32>) -> Result<Region> {
+    pub fn pixel_frustum(&self, columns: Range<u32>, rows: Range<u32>) -> Result<Region> {
         self.validate()?;
         self.check_pixels(columns.clone(), rows.clone())?;
         let axes = self.world_from_view.matrix3;
@@ -170,18 +170,18 @@ impl View {
     }
 
     /// Who looks, for levels of detail and billboards.
-    pub fn observer(&self) -> Observer {
+    pub fn viewpoint(&self) -> Viewpoint {
         let (_, half_height, orthographic) = self.half_extent();
         let height = 2.0 * f64::from(half_height);
-        let height = if orthographic == 0 { ImageHeight::TimesDistance(height) } else { ImageHeight::Fixed(height) };
+        let height = if orthographic == 0 { ViewHeight::Perspective(height) } else { ViewHeight::Orthographic(height) };
         let up = self.world_from_view.matrix3.y_axis.normalize_or(DVec3::Y);
-        Observer { eye: self.world_from_view.translation, up, height }
+        Viewpoint { eye: self.world_from_view.translation, up, height }
     }
 
     /// What an executor gets of this view, which must be [valid](Self::validate): positions are relative to `origin` (see
-    /// [`Compiler::origin`](crate::compile::Compiler::origin)), and the first `light_count` lights of the device arrays shine. For
+    /// [`Compiler::render_origin`](crate::compile::Compiler::origin)), and the first `light_count` lights of the device arrays shine. For
     /// [frames](crate::trace::FrameRequest) that an application has traced by an executor of its own.
-    pub fn params(&self, origin: DVec3, light_count: u32) -> FrameParams {
+    pub fn frame_params(&self, origin: DVec3, light_count: u32) -> FrameParams {
         let axes = self.world_from_view.matrix3;
         let [right, up, back] = [axes.x_axis, axes.y_axis, axes.z_axis].map(|axis| axis.normalize_or_zero().as_vec3());
         let (half_width, half_height, orthographic) = self.half_extent();

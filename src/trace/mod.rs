@@ -2,20 +2,20 @@
 
 mod cpu;
 mod emulated;
+mod frame_buffer;
 #[cfg(feature = "gpu")]
 pub mod gpu;
 pub(crate) mod kernel;
-mod layout;
-mod planes;
 mod queries;
 mod recursive;
 pub mod shader;
+mod traversal;
 
 pub use cpu::Cpu;
 pub use emulated::Emulated;
 pub(crate) use kernel::MAX_DEPTH;
-pub use layout::{Counts, FrameCounts, Layout};
 pub use recursive::Recursive;
+pub use traversal::{FrameCounts, Traversal, TraversalCounts};
 
 use std::time::Duration;
 
@@ -24,7 +24,7 @@ use serde::Serialize;
 use crate::Result;
 use crate::device::DeviceArrays;
 use crate::device::Needs;
-use crate::device::layout::{FrameParams, Hit, Ray};
+use crate::device::layout::{FrameParams, HitRecord, RayRecord};
 use crate::image::Image;
 
 /// Something that traces rays through [`DeviceArrays`]: the same rays through the same arrays give the same hits in
@@ -48,11 +48,11 @@ pub trait Tracer {
     /// as above if the driver fails.
     fn upload(&mut self, arrays: &mut DeviceArrays) -> Result<u64>;
 
-    /// Traces a frame, which stays where it was made until [`read`](Self::read).
+    /// Traces a frame, which stays where it was made until [`read_image`](Self::read_image).
     fn render(&mut self, arrays: &DeviceArrays, request: &FrameRequest) -> Result<()>;
 
     /// The last frame rendered.
-    fn read(&self) -> Result<Image>;
+    fn read_image(&self) -> Result<Image>;
 
     /// The last frame's linear colour as a texture, where it is one: `Rgba32Float`, to be bound (unfiltered) or copied from.
     #[cfg(feature = "gpu")]
@@ -72,10 +72,10 @@ pub trait Tracer {
     }
 
     /// The closest hit of each ray, of instances that share a bit with `ray_mask`.
-    fn closest_hits(&mut self, arrays: &DeviceArrays, rays: &[Ray], ray_mask: u32) -> Result<Vec<Hit>>;
+    fn closest_hits(&mut self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> Result<Vec<HitRecord>>;
 
     /// For each ray, whether it meets anything opaque.
-    fn any_hits(&mut self, arrays: &DeviceArrays, rays: &[Ray], ray_mask: u32) -> Result<Vec<bool>>;
+    fn any_hits(&mut self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> Result<Vec<bool>>;
 }
 
 /// One frame to trace.

@@ -4,17 +4,17 @@ use std::collections::HashMap;
 
 use glam::Vec3;
 
+use super::frame_buffer::FrameBuffer;
 use super::kernel::math::{transform_point, transform_vector};
 use super::kernel::{
-    Counter, KernelScene, SlabRay, Traverse, camera_ray, cross_triangle, max_component, meets_box, render_pixel,
-    shear_ray, slab_ray,
+    KernelScene, RayQueries, SlabRay, TraversalCounter, camera_ray, intersect_triangle, intersects_box, max_component,
+    render_pixel, shear_ray, slab_ray,
 };
-use super::planes::Planes;
-use super::queries::{Any, Candidate, Closest, Query, Transmittance};
-use super::{Counts, DeviceInfo, FrameRequest, Tracer};
+use super::queries::{AnyQuery, CandidateHit, ClosestQuery, Query, TransmittanceQuery};
+use super::{DeviceInfo, FrameRequest, Tracer, TraversalCounts};
 use crate::Result;
 use crate::device::DeviceArrays;
-use crate::device::layout::{Hit, Node, PrimitiveRange, Ray, Triangle};
+use crate::device::layout::{HitRecord, Node, PrimitiveRange, RayRecord, Triangle};
 use crate::image::Image;
 
 /// What most ray tracers are: nodes on the heap that point to their children, in a fixed order. A baseline to compare with, and a second
@@ -24,46 +24,46 @@ use crate::image::Image;
 pub struct Recursive {
     device: DeviceInfo,
     /// None before the first upload.
-    trees: Option<Trees>,
-    frame: Planes,
+    trees: Option<PointerTrees>,
+    frame: FrameBuffer,
 }
 
 /// The hierarchies of both levels.
 #[derive(Debug, Default)]
-struct Trees {
+struct PointerTrees {
     /// Its leaves hold instances.
-    top: Option<Branch>,
+    tlas: Option<TreeNode>,
     /// By the instances' `first_node`.
-    bottom: HashMap<u32, Branch>,
+    blas_by_first_node: HashMap<u32, TreeNode>,
 }
 
 #[derive(Debug)]
-struct Branch {
+struct TreeNode {
     node: Node,
     /// None for a leaf.
     #[expect(clippy::vec_box, reason = "pointers are the point")]
-    children: Vec<Box<Branch>>,
+    children: Vec<Box<TreeNode>>,
     /// Of a leaf of a bottom level.
     triangles: Box<[Triangle]>,
 }
 
 impl Recursive {
     /// What [`closest_hits`](Tracer::closest_hits) reads and tests. The arrays must have been uploaded.
-    pub fn count_closest_hits(&self, arrays: &DeviceArrays, rays: &[Ray], ray_mask: u32) -> Counts {
-        self.count::<Closest>(arrays, rays, ray_mask)
+    pub fn count_closest_hits(&self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> TraversalCounts {
+        self.count::<ClosestQuery>(arrays, rays, ray_mask)
     }
 
     /// What [`any_hits`](Tracer::any_hits) reads and tests. The arrays must have been uploaded.
-    pub fn count_any_hits(&self, arrays: &DeviceArrays, rays: &[Ray], ray_mask: u32) -> Counts {
-        self.count::<Any>(arrays, rays, ray_mask)
+    pub fn count_any_hits(&self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> TraversalCounts {
+        self.count::<AnyQuery>(arrays, rays, ray_mask)
     }
 
-    fn count<Q: Query>(&self, arrays: &DeviceArrays, rays: &[Ray], ray_mask: u32) -> Counts {
+    fn count<Q: Query>(&self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> TraversalCounts {
         let scene = KernelScene::new(arrays);
-        let tracer = Rays { scene: &scene, trees: self.trees.as_ref() };
-        let mut counts = Counts::default();
+        let tracer = TreeQueries { scene: &scene, trees: self.trees.as_ref() };
+        let mut counts = TraversalCounts::default();
         for ray in rays {
-            tracer.ask_counted::<Q, _>(ray, ray_mask, &mut counts);
+            tracer.query_counted::<Q, _>(ray, ray_mask, &mut counts);
         }
         counts
     }
@@ -72,7 +72,7 @@ impl Recursive {
 impl Default for Recursive {
     fn default() -> Self {
         let device = DeviceInfo { executor: "recursive", name: "1 thread".to_owned() };
-        Self { device, trees: None, frame: Planes::default() }
+        Self { device, trees: None, frame: FrameBuffer::default() }
     }
 }
 
@@ -89,17 +89,17 @@ impl Tracer for Recursive {
         ];
         // An array that became shorter has nothing dirty.
         if changed.contains(&true) || arrays.tlas_nodes.is_empty() || self.trees.is_none() {
-            self.trees = Some(Trees::new(arrays));
+            self.trees = Some(PointerTrees::new(arrays));
         }
-        arrays.forget_dirty();
+        arrays.clear_dirty();
         Ok(0)
     }
 
     fn render(&mut self, arrays: &DeviceArrays, request: &FrameRequest) -> Result<()> {
         let scene = KernelScene::new(arrays);
-        let mut rays = Rays { scene: &scene, trees: self.trees.as_ref() };
+        let mut rays = TreeQueries { scene: &scene, trees: self.trees.as_ref() };
         let params = &request.params;
-        let mut frame = Planes::new(params.width, params.height, request.aovs)?;
+        let mut frame = FrameBuffer::new(params.width, params.height, request.aovs)?;
         for y in 0..params.height {
             for x in 0..params.width {
                 let primary = camera_ray(params, x, y);
@@ -110,78 +110,80 @@ impl Tracer for Recursive {
         Ok(())
     }
 
-    fn read(&self) -> Result<Image> {
+    fn read_image(&self) -> Result<Image> {
         Ok(self.frame.clone().into_image())
     }
 
-    fn closest_hits(&mut self, arrays: &DeviceArrays, rays: &[Ray], ray_mask: u32) -> Result<Vec<Hit>> {
+    fn closest_hits(&mut self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> Result<Vec<HitRecord>> {
         let scene = KernelScene::new(arrays);
-        let tracer = Rays { scene: &scene, trees: self.trees.as_ref() };
-        Ok(rays.iter().map(|ray| tracer.ask::<Closest>(ray, ray_mask).0).collect())
+        let tracer = TreeQueries { scene: &scene, trees: self.trees.as_ref() };
+        Ok(rays.iter().map(|ray| tracer.query::<ClosestQuery>(ray, ray_mask).0).collect())
     }
 
-    fn any_hits(&mut self, arrays: &DeviceArrays, rays: &[Ray], ray_mask: u32) -> Result<Vec<bool>> {
+    fn any_hits(&mut self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> Result<Vec<bool>> {
         let scene = KernelScene::new(arrays);
-        let tracer = Rays { scene: &scene, trees: self.trees.as_ref() };
-        Ok(rays.iter().map(|ray| tracer.ask::<Any>(ray, ray_mask).is_hit).collect())
+        let tracer = TreeQueries { scene: &scene, trees: self.trees.as_ref() };
+        Ok(rays.iter().map(|ray| tracer.query::<AnyQuery>(ray, ray_mask).is_hit).collect())
     }
 }
 
-impl Trees {
+impl PointerTrees {
     fn new(arrays: &DeviceArrays) -> Self {
         let is_empty = arrays.tlas_nodes.first().is_none_or(|node| node.escape_index == 0);
         if is_empty {
             return Self::default();
         }
-        let top = branch(&arrays.tlas_nodes, 0, &|_| Box::default());
+        let top = build_subtree(&arrays.tlas_nodes, 0, &|_| Box::default());
         let mut bottom = HashMap::new();
         for leaf in arrays.tlas_nodes.iter().filter(|node| node.primitives != PrimitiveRange::INNER) {
-            let instance = &arrays.instances[leaf.primitives.first() as usize];
+            let instance = &arrays.instances[leaf.primitives.first_primitive() as usize];
             bottom.entry(instance.first_node).or_insert_with(|| {
                 let triangles = &arrays.triangles[instance.first_triangle as usize..];
-                let of = |leaf: PrimitiveRange| triangles[leaf.first() as usize..][..leaf.count() as usize].into();
-                branch(&arrays.blas_nodes[instance.first_node as usize..], 0, &of)
+                let of = |leaf: PrimitiveRange| {
+                    triangles[leaf.first_primitive() as usize..][..leaf.primitive_count() as usize].into()
+                };
+                build_subtree(&arrays.blas_nodes[instance.first_node as usize..], 0, &of)
             });
         }
-        Self { top: Some(top), bottom }
+        Self { tlas: Some(top), blas_by_first_node: bottom }
     }
 }
 
 /// The tree that stands in depth-first order from a node on. Recursion is as deep as the tree: builders bound that.
-fn branch(nodes: &[Node], index: usize, triangles: &impl Fn(PrimitiveRange) -> Box<[Triangle]>) -> Branch {
+fn build_subtree(nodes: &[Node], index: usize, triangles: &impl Fn(PrimitiveRange) -> Box<[Triangle]>) -> TreeNode {
     let node = nodes[index];
     if node.primitives != PrimitiveRange::INNER {
-        return Branch { node, children: Vec::new(), triangles: triangles(node.primitives) };
+        return TreeNode { node, children: Vec::new(), triangles: triangles(node.primitives) };
     }
     let mut children = Vec::new();
     let mut child = index as u32 + 1;
     while child != node.escape_index && (child as usize) < nodes.len() {
         let next = nodes[child as usize].escape_index;
-        if !nodes[child as usize].is_unused() {
-            children.push(Box::new(branch(nodes, child as usize, triangles)));
+        if !nodes[child as usize].is_empty() {
+            children.push(Box::new(build_subtree(nodes, child as usize, triangles)));
         }
         child = next;
     }
-    Branch { node, children, triangles: Box::default() }
+    TreeNode { node, children, triangles: Box::default() }
 }
 
 /// What traces rays.
-struct Rays<'a> {
+struct TreeQueries<'a> {
     scene: &'a KernelScene<'a>,
-    trees: Option<&'a Trees>,
+    trees: Option<&'a PointerTrees>,
 }
 
-impl Rays<'_> {
-    fn ask<Q: Query>(&self, ray: &Ray, ray_mask: u32) -> Q {
-        self.ask_counted(ray, ray_mask, &mut ())
+impl TreeQueries<'_> {
+    fn query<Q: Query>(&self, ray: &RayRecord, ray_mask: u32) -> Q {
+        self.query_counted(ray, ray_mask, &mut ())
     }
 
-    fn ask_counted<Q: Query, C: Counter>(&self, ray: &Ray, ray_mask: u32, counter: &mut C) -> Q {
-        let mut query = Q::start(ray.t_max);
+    fn query_counted<Q: Query, C: TraversalCounter>(&self, ray: &RayRecord, ray_mask: u32, counter: &mut C) -> Q {
+        let mut query = Q::new(ray.t_max);
         let world = slab_ray(Vec3::from_array(ray.origin), Vec3::from_array(ray.direction));
-        if let Some(top) = self.trees.and_then(|trees| trees.top.as_ref()) {
-            descend(top, &world, ray.t_min, ray.t_max, counter, &mut |leaf, counter| {
-                self.ask_instance(leaf.node.primitives.first(), ray, ray_mask, &mut query, counter);
+        if let Some(top) = self.trees.and_then(|trees| trees.tlas.as_ref()) {
+            traverse(top, &world, ray.t_min, ray.t_max, counter, &mut |leaf, counter| {
+                self.query_instance(leaf.node.primitives.first_primitive(), ray, ray_mask, &mut query, counter);
                 query.t_max()
             });
         }
@@ -189,9 +191,18 @@ impl Rays<'_> {
         query
     }
 
-    fn ask_instance<Q: Query, C: Counter>(&self, index: u32, ray: &Ray, ray_mask: u32, query: &mut Q, counter: &mut C) {
+    fn query_instance<Q: Query, C: TraversalCounter>(
+        &self,
+        index: u32,
+        ray: &RayRecord,
+        ray_mask: u32,
+        query: &mut Q,
+        counter: &mut C,
+    ) {
         let instance = &self.scene.instances[index as usize];
-        let Some(root) = self.trees.and_then(|trees| trees.bottom.get(&instance.first_node)) else { return };
+        let Some(root) = self.trees.and_then(|trees| trees.blas_by_first_node.get(&instance.first_node)) else {
+            return;
+        };
         if instance.mask & ray_mask == 0 {
             return;
         }
@@ -202,14 +213,19 @@ impl Rays<'_> {
         let [min, max] = [root.node.min, root.node.max].map(|corner| Vec3::from_array(corner).abs());
         let shear = shear_ray(origin, direction, max_component(min.max(max).max(origin.abs())));
         let slab = slab_ray(origin, direction);
-        descend(root, &slab, ray.t_min, query.t_max(), counter, &mut |leaf, counter| {
-            counter.triangles(leaf.node.primitives.count());
-            let first = instance.first_triangle + leaf.node.primitives.first();
+        traverse(root, &slab, ray.t_min, query.t_max(), counter, &mut |leaf, counter| {
+            counter.triangles(leaf.node.primitives.primitive_count());
+            let first = instance.first_triangle + leaf.node.primitives.first_primitive();
             for (triangle, corners) in (first..).zip(&leaf.triangles) {
-                let Some(crossing) = cross_triangle(&shear, corners) else { continue };
+                let Some(crossing) = intersect_triangle(&shear, corners) else { continue };
                 if crossing.t >= ray.t_min && crossing.t <= query.t_max() {
                     let (t, u, v) = (crossing.t, crossing.u, crossing.v);
-                    query.cross(self.scene, index, instance, &Candidate { t, u, v, back: crossing.back, triangle });
+                    query.accept_hit(
+                        self.scene,
+                        index,
+                        instance,
+                        &CandidateHit { t, u, v, back: crossing.back, triangle },
+                    );
                 }
             }
             query.t_max()
@@ -219,39 +235,39 @@ impl Rays<'_> {
 
 /// Shows the leaves whose boxes the ray meets no farther than `t_max`, which `visit` returns anew. Recursion is as deep as the
 /// tree.
-fn descend<C: Counter>(
-    branch: &Branch,
+fn traverse<C: TraversalCounter>(
+    branch: &TreeNode,
     ray: &SlabRay,
     t_min: f32,
     mut t_max: f32,
     counter: &mut C,
-    visit: &mut dyn FnMut(&Branch, &mut C) -> f32,
+    visit: &mut dyn FnMut(&TreeNode, &mut C) -> f32,
 ) -> f32 {
     counter.node();
     counter.read(&branch.node);
     counter.boxes(1);
-    if !meets_box(ray, t_min, t_max, &branch.node) {
+    if !intersects_box(ray, t_min, t_max, &branch.node) {
         return t_max;
     }
     if branch.node.primitives != PrimitiveRange::INNER {
         return visit(branch, counter);
     }
     for child in &branch.children {
-        t_max = descend(child, ray, t_min, t_max, counter, visit);
+        t_max = traverse(child, ray, t_min, t_max, counter, visit);
     }
     t_max
 }
 
-impl<'a> Traverse<'a> for Rays<'a> {
+impl<'a> RayQueries<'a> for TreeQueries<'a> {
     fn scene(&self) -> &'a KernelScene<'a> {
         self.scene
     }
 
-    fn closest_hit(&mut self, ray: &Ray, ray_mask: u32) -> Hit {
-        self.ask::<Closest>(ray, ray_mask).0
+    fn closest_hit(&mut self, ray: &RayRecord, ray_mask: u32) -> HitRecord {
+        self.query::<ClosestQuery>(ray, ray_mask).0
     }
 
-    fn transmittance(&mut self, ray: &Ray, ray_mask: u32) -> Vec3 {
-        self.ask::<Transmittance>(ray, ray_mask).light(self.scene, ray, ray_mask)
+    fn transmittance(&mut self, ray: &RayRecord, ray_mask: u32) -> Vec3 {
+        self.query::<TransmittanceQuery>(ray, ray_mask).with_layers(self.scene, ray, ray_mask)
     }
 }

@@ -2,9 +2,9 @@
 
 use glam::{DAffine3, DQuat, DVec3, Vec3};
 use rayon::prelude::*;
-use ropewalk::accel::{Blas, BuildParams, Tlas};
+use ropewalk::accel::{Blas, BlasBuildParams, Tlas};
 use ropewalk::device::DeviceArrays;
-use ropewalk::device::layout::{Hit, NONE, Node, PrimitiveRange, Ray};
+use ropewalk::device::layout::{HitRecord, NONE, Node, PrimitiveRange, RayRecord};
 use ropewalk::math::Aabb;
 use ropewalk::trace::{Emulated, Tracer};
 
@@ -13,7 +13,7 @@ use crate::kernel_support::{Mesh, Placed, Random, arrays};
 use crate::meshes::{STRUCTURES, adversarial, geometry, grid};
 
 /// The arrays of `placed`, with hierarchies by the builders under test.
-fn built(meshes: &[Mesh], placed: &[Placed], params: &BuildParams) -> DeviceArrays {
+fn built(meshes: &[Mesh], placed: &[Placed], params: &BlasBuildParams) -> DeviceArrays {
     let mut arrays = arrays(meshes, placed);
     let (mut nodes, mut triangles, mut instances) = (Vec::new(), Vec::new(), arrays.instances.to_vec());
     for (mesh_index, mesh) in meshes.iter().enumerate() {
@@ -57,14 +57,14 @@ fn brute_force(arrays: &DeviceArrays) -> DeviceArrays {
     brute
 }
 
-fn trace(arrays: &mut DeviceArrays, rays: &[Ray]) -> Vec<Hit> {
+fn trace(arrays: &mut DeviceArrays, rays: &[RayRecord]) -> Vec<HitRecord> {
     let mut tracer = Emulated::default();
     tracer.upload(arrays).unwrap();
     tracer.closest_hits(arrays, rays, 1).unwrap()
 }
 
 /// Compares with f64 (no answer is wrong), and, where f64 is sure, bit for bit with the same kernel's brute force.
-fn check(name: &str, mesh: &Mesh, params: &BuildParams, rays: &[Ray]) {
+fn check(name: &str, mesh: &Mesh, params: &BlasBuildParams, rays: &[RayRecord]) {
     let mut built = built(std::slice::from_ref(mesh), &[Placed::new(0, DAffine3::IDENTITY)], params);
     let hits = trace(&mut built, rays);
     let brute_hits = trace(&mut brute_force(&built), rays);
@@ -77,7 +77,7 @@ fn check(name: &str, mesh: &Mesh, params: &BuildParams, rays: &[Ray]) {
         if candidates.iter().all(|c| c.verdict != Verdict::Tie) {
             sure += 1;
             // Of a triangle that is there more than once, any will do.
-            assert_eq!(Hit { triangle: brute.triangle, ..*hit }, *brute, "{name}: {ray:?}");
+            assert_eq!(HitRecord { triangle: brute.triangle, ..*hit }, *brute, "{name}: {ray:?}");
         }
     }
     println!("{name}: {} rays, {hit_count} hits, {sure} compared bit for bit", rays.len());
@@ -86,7 +86,7 @@ fn check(name: &str, mesh: &Mesh, params: &BuildParams, rays: &[Ray]) {
 }
 
 /// At points on the triangles, from all around and from close by.
-fn rays_at(mesh: &Mesh, random: &mut Random, count: usize) -> Vec<Ray> {
+fn rays_at(mesh: &Mesh, random: &mut Random, count: usize) -> Vec<RayRecord> {
     let bounds = Aabb::from_points(mesh.positions.iter().copied());
     let size = (bounds.max - bounds.min).max_element();
     let mut ray = |_| {
@@ -96,7 +96,7 @@ fn rays_at(mesh: &Mesh, random: &mut Random, count: usize) -> Vec<Ray> {
         let target = a + (b - a) * u + (c - a) * v;
         let near = (b - a).abs().max((c - a).abs()).max_element();
         let origin = target + random.direction() * [2.0 * size, 3.0 * near][random.index(2)];
-        Ray { origin: origin.to_array(), t_min: 0.0, direction: (target - origin).to_array(), t_max: f32::MAX }
+        RayRecord { origin: origin.to_array(), t_min: 0.0, direction: (target - origin).to_array(), t_max: f32::MAX }
     };
     (0..count).map(&mut ray).collect()
 }
@@ -105,9 +105,9 @@ fn rays_at(mesh: &Mesh, random: &mut Random, count: usize) -> Vec<Ray> {
 fn adversarial_meshes_are_hit_as_brute_force_hits_them() {
     for (i, (name, mesh)) in adversarial().into_iter().enumerate() {
         let rays = rays_at(&mesh, &mut Random(i as u64), 1500);
-        check(name, &mesh, &BuildParams::PAPER, &rays);
+        check(name, &mesh, &BlasBuildParams::PAPER, &rays);
         for structure in STRUCTURES {
-            check(&format!("{name}, {structure:?}"), &mesh, &BuildParams::new(structure), &rays);
+            check(&format!("{name}, {structure:?}"), &mesh, &BlasBuildParams::new(structure), &rays);
         }
     }
 }
@@ -119,7 +119,7 @@ fn rays_in_face_planes_of_boxes_hit() {
     let places = (0..3).flat_map(|a| [0.0, 3.0].into_iter().flat_map(move |l| [1e-20, 1.0, 1e18].map(|s| (a, l, s))));
     for ((axis, level, scale), structure) in places.flat_map(|place| STRUCTURES.map(|structure| (place, structure))) {
         let mesh = grid(16, 12, axis, level).scaled(scale);
-        let mut arrays = built(&[mesh], &[Placed::new(0, DAffine3::IDENTITY)], &BuildParams::new(structure));
+        let mut arrays = built(&[mesh], &[Placed::new(0, DAffine3::IDENTITY)], &BlasBuildParams::new(structure));
         let mut rays = Vec::new();
         for (column, row) in (0..=32).flat_map(|c| (0..=24).map(move |r| (c as f32 / 2.0, r as f32 / 2.0))) {
             let mut origin = Vec3::splat(level);
@@ -127,7 +127,7 @@ fn rays_in_face_planes_of_boxes_hit() {
             for side in [-1.0, 1.0] {
                 let direction = Vec3::AXES[axis] * side;
                 let origin = (origin - direction * 7.0) * scale;
-                rays.push(Ray {
+                rays.push(RayRecord {
                     origin: origin.to_array(),
                     t_min: 0.0,
                     direction: direction.to_array(),
@@ -154,12 +154,12 @@ fn instances_are_hit_as_f64_hits_them() {
             Placed::new(i % 3, DAffine3::from_scale_rotation_translation(scale, rotation, at))
         })
         .collect();
-    let mut arrays = built(&meshes, &placed, &BuildParams::default());
+    let mut arrays = built(&meshes, &placed, &BlasBuildParams::default());
     let ray = |_| {
         let (origin, target) = (random.direction() * 10.0, random.in_cube() * 4.0);
-        Ray { origin: origin.to_array(), t_min: 0.0, direction: (target - origin).to_array(), t_max: f32::MAX }
+        RayRecord { origin: origin.to_array(), t_min: 0.0, direction: (target - origin).to_array(), t_max: f32::MAX }
     };
-    let rays: Vec<Ray> = (0..3000).map(ray).collect();
+    let rays: Vec<RayRecord> = (0..3000).map(ray).collect();
     let hits = trace(&mut arrays, &rays);
     let truth: Vec<_> = rays.par_iter().map(|ray| candidates(&arrays, ray, 1)).collect();
     for ((ray, hit), candidates) in rays.iter().zip(&hits).zip(&truth) {
@@ -178,6 +178,6 @@ fn bunny() {
     assert_eq!(mesh.indices.len(), 69_451);
     let rays = rays_at(&mesh, &mut Random(1), 1000);
     for structure in STRUCTURES {
-        check(&format!("bunny, {structure:?}"), &mesh, &BuildParams::new(structure), &rays);
+        check(&format!("bunny, {structure:?}"), &mesh, &BlasBuildParams::new(structure), &rays);
     }
 }

@@ -1,17 +1,13 @@
 //! Meshes that are hard on a builder.
 
 use glam::Vec3;
-use ropewalk::graph::{Geometry, Quality, Structure};
+use ropewalk::graph::{BlasKind, Geometry, Quality};
 
 use crate::kernel_support::{Mesh, Random};
 
 /// All that a bottom-level structure can be.
-pub(crate) const STRUCTURES: [Structure; 4] = [
-    Structure::Bvh(Quality::Fast),
-    Structure::Bvh(Quality::Balanced),
-    Structure::Bvh(Quality::Best),
-    Structure::KdTree,
-];
+pub(crate) const STRUCTURES: [BlasKind; 4] =
+    [BlasKind::Bvh(Quality::Low), BlasKind::Bvh(Quality::Medium), BlasKind::Bvh(Quality::High), BlasKind::KdTree];
 
 pub(crate) fn geometry(mesh: &Mesh) -> Geometry {
     Geometry::new(mesh.positions.clone(), mesh.indices.clone())

@@ -1,14 +1,14 @@
 //! How good the hierarchies are, against a builder that tries every split.
 
 use glam::DVec3;
-use ropewalk::accel::{Blas, BuildParams, MAX_CHILDREN};
+use ropewalk::accel::{Blas, BlasBuildParams, MAX_CHILDREN};
 use ropewalk::device::layout::{NONE, Node};
 use ropewalk::math::Aabb;
 
 use crate::kernel_support::Mesh;
 use crate::meshes::{adversarial, geometry};
 
-const PARAMS: BuildParams = BuildParams { max_leaf_size: 15, ..BuildParams::PAPER };
+const PARAMS: BlasBuildParams = BlasBuildParams { max_leaf_size: 15, ..BlasBuildParams::PAPER };
 
 fn half_area(aabb: &Aabb) -> f64 {
     let d: DVec3 = aabb.max.as_dvec3() - aabb.min.as_dvec3();
@@ -102,8 +102,8 @@ fn node_area(node: &Node) -> f64 {
 fn walk(nodes: &[Node], index: usize, end: usize) -> (f64, usize, usize) {
     let node = &nodes[index];
     let area = node_area(node);
-    if node.primitives.count() > 0 {
-        return (area * f64::from(node.primitives.count()) * f64::from(PARAMS.triangle_cost), 1, 1);
+    if node.primitives.primitive_count() > 0 {
+        return (area * f64::from(node.primitives.primitive_count()) * f64::from(PARAMS.triangle_cost), 1, 1);
     }
     assert_eq!(if node.escape_index == NONE { nodes.len() } else { node.escape_index as usize }, end);
     let (mut sum, mut child, mut children) = ((0.0, 0, 0), index + 1, 0);
@@ -123,7 +123,7 @@ fn shares(nodes: &[Node]) -> Vec<(f64, usize)> {
     let mut ancestors: Vec<(usize, usize)> = Vec::new();
     for (index, node) in nodes.iter().enumerate() {
         ancestors.retain(|&(_, end)| index < end);
-        if node.primitives.count() > 0 {
+        if node.primitives.primitive_count() > 0 {
             continue;
         }
         let end = (node.escape_index as usize).min(nodes.len());

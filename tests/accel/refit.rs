@@ -2,19 +2,19 @@
 
 use glam::{DAffine3, Quat, Vec3};
 use ropewalk::Quality;
-use ropewalk::accel::{Blas, BuildParams};
-use ropewalk::device::layout::{Hit, NONE, Ray, Triangle};
-use ropewalk::graph::{Geometry, Structure};
+use ropewalk::accel::{Blas, BlasBuildParams};
+use ropewalk::device::layout::{HitRecord, NONE, RayRecord, Triangle};
+use ropewalk::graph::{BlasKind, Geometry};
 use ropewalk::math::Aabb;
 use ropewalk::trace::{Emulated, Tracer};
 
 use crate::kernel_support::{Mesh, Placed, Random, arrays};
 use crate::meshes::{adversarial, beyond_arithmetic, geometry};
 
-const QUALITIES: [Quality; 2] = [Quality::Fast, Quality::Balanced];
+const QUALITIES: [Quality; 2] = [Quality::Low, Quality::Medium];
 
 fn build(geometry: &Geometry, quality: Quality) -> Blas {
-    Blas::build(geometry, &BuildParams::new(Structure::Bvh(quality))).unwrap()
+    Blas::build(geometry, &BlasBuildParams::new(BlasKind::Bvh(quality))).unwrap()
 }
 
 /// Everything turned about an axis, the more the farther along it.
@@ -75,13 +75,13 @@ fn deformed_structures_are_whole() {
 #[test]
 fn what_has_not_moved_gets_the_same_leaves_and_no_larger_boxes() {
     let mesh = Mesh::displaced_icosphere(5);
-    let built = build(&geometry(&mesh), Quality::Balanced);
+    let built = build(&geometry(&mesh), Quality::Medium);
     let mut blas = built.clone();
     assert!(blas.refit(&geometry(&mesh)));
     assert_eq!(blas.triangles, built.triangles);
     for (new, old) in blas.nodes.iter().zip(&built.nodes) {
         let inside = Vec3::from(new.min).cmpge(old.min.into()) & Vec3::from(new.max).cmple(old.max.into());
-        assert!(inside.all() && (new == old || old.primitives.count() == 0), "{new:?} {old:?}");
+        assert!(inside.all() && (new == old || old.primitives.primitive_count() == 0), "{new:?} {old:?}");
     }
     assert!((blas.stats().sah_cost / built.stats().sah_cost - 1.0).abs() < 1e-5);
 }
@@ -89,7 +89,7 @@ fn what_has_not_moved_gets_the_same_leaves_and_no_larger_boxes() {
 #[test]
 fn the_number_of_threads_does_not_matter() {
     let mesh = Mesh::displaced_icosphere(6);
-    let (built, moved) = (build(&geometry(&mesh), Quality::Balanced), geometry(&twisted(&mesh, 1.0)));
+    let (built, moved) = (build(&geometry(&mesh), Quality::Medium), geometry(&twisted(&mesh, 1.0)));
     let refit = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let mut blas = built.clone();
@@ -111,15 +111,15 @@ fn triangles_that_come_and_go_are_noticed() {
         Mesh { positions, indices: mesh.indices.clone() }
     };
     let far = mesh.indices[mesh.indices.len() - 1][0] as usize;
-    let mut round = build(&geometry(&mesh), Quality::Balanced);
+    let mut round = build(&geometry(&mesh), Quality::Medium);
     assert!(!round.refit(&geometry(&pinched(far))), "two triangles went");
-    let mut flat = build(&geometry(&pinched(far)), Quality::Balanced);
+    let mut flat = build(&geometry(&pinched(far)), Quality::Medium);
     assert!(flat.triangles.len() < mesh.indices.len());
     assert!(flat.clone().refit(&geometry(&pinched(far - 1))), "the same ones are left out");
     assert!(!flat.refit(&geometry(&mesh)), "two triangles came");
     // Other geometries altogether are refused, too.
     for other in [Mesh::soup(1, mesh.indices.len() - 1), Mesh::soup(1, 0)] {
-        assert!(!build(&geometry(&mesh), Quality::Balanced).refit(&geometry(&other)));
+        assert!(!build(&geometry(&mesh), Quality::Medium).refit(&geometry(&other)));
     }
 }
 
@@ -133,13 +133,13 @@ fn rays_hit_what_they_hit_in_a_new_structure() {
     for (name, mesh) in [("icosphere", Mesh::displaced_icosphere(5)), ("soup", soup)] {
         for turn in [0.1, 1.5, 6.0] {
             let moved = twisted(&mesh, turn);
-            let mut blas = build(&geometry(&mesh), Quality::Balanced);
+            let mut blas = build(&geometry(&mesh), Quality::Medium);
             assert!(blas.refit(&geometry(&moved)));
-            let rays: Vec<Ray> = (0..3000)
+            let rays: Vec<RayRecord> = (0..3000)
                 .map(|_| {
                     let (origin, target) = (random.in_cube() * 3.0, random.in_cube());
                     let direction = (target - origin).to_array();
-                    Ray { origin: origin.to_array(), t_min: 0.0, direction, t_max: f32::MAX }
+                    RayRecord { origin: origin.to_array(), t_min: 0.0, direction, t_max: f32::MAX }
                 })
                 .collect();
             let trace = |blas: &Blas| {
@@ -150,9 +150,9 @@ fn rays_hit_what_they_hit_in_a_new_structure() {
                 tracer.upload(&mut arrays).unwrap();
                 let hits = tracer.closest_hits(&arrays, &rays, 1).unwrap();
                 // Where it lies may differ, not which it is.
-                hits.into_iter().map(|hit| Hit { triangle: 0, ..hit }).collect::<Vec<_>>()
+                hits.into_iter().map(|hit| HitRecord { triangle: 0, ..hit }).collect::<Vec<_>>()
             };
-            let (hits, expected) = (trace(&blas), trace(&build(&geometry(&moved), Quality::Balanced)));
+            let (hits, expected) = (trace(&blas), trace(&build(&geometry(&moved), Quality::Medium)));
             assert_eq!(hits, expected, "{name} turned by {turn}");
             assert!(hits.iter().filter(|hit| hit.instance != NONE).count() > 500, "{name}");
         }

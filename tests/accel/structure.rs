@@ -2,17 +2,17 @@
 
 use glam::Vec3;
 use ropewalk::Error;
-use ropewalk::accel::{Blas, BuildParams, MAX_DEPTH, StructureError};
+use ropewalk::accel::{Blas, BlasBuildParams, BvhError, MAX_BLAS_DEPTH};
 use ropewalk::device::layout::{NONE, Node, PrimitiveRange};
-use ropewalk::graph::{Geometry, Quality, Structure};
+use ropewalk::graph::{BlasKind, Geometry, Quality};
 
 use crate::kernel_support::{Mesh, Random};
 use crate::meshes::{STRUCTURES, adversarial, beyond_arithmetic, geometry, grid, identical};
 
-const PARAMS: [BuildParams; 3] = [
-    BuildParams { max_leaf_size: 15, ..BuildParams::PAPER },
-    BuildParams::PAPER,
-    BuildParams { max_leaf_size: 15, triangle_cost: 0.1, ..BuildParams::PAPER },
+const PARAMS: [BlasBuildParams; 3] = [
+    BlasBuildParams { max_leaf_size: 15, ..BlasBuildParams::PAPER },
+    BlasBuildParams::PAPER,
+    BlasBuildParams { max_leaf_size: 15, triangle_cost: 0.1, ..BlasBuildParams::PAPER },
 ];
 
 /// The triangles that a ray can hit.
@@ -24,7 +24,7 @@ fn with_area(mesh: &Mesh) -> Vec<u32> {
     (0..mesh.indices.len() as u32).filter(distinct).collect()
 }
 
-fn check(name: &str, mesh: &Mesh, params: &BuildParams) {
+fn check(name: &str, mesh: &Mesh, params: &BlasBuildParams) {
     let blas = Blas::build(&geometry(mesh), params).unwrap();
     assert_eq!(blas.validate(), Ok(()), "{name}");
     let mut primitives: Vec<u32> = blas.triangles.iter().map(|t| t.primitive).collect();
@@ -32,12 +32,12 @@ fn check(name: &str, mesh: &Mesh, params: &BuildParams) {
     let all = primitives.len();
     primitives.dedup();
     assert_eq!(primitives, with_area(mesh), "{name}");
-    assert_eq!(blas.repeats, all > primitives.len(), "{name}");
+    assert_eq!(blas.has_duplicates, all > primitives.len(), "{name}");
     assert_eq!(blas.stats().duplicate_count, all - primitives.len(), "{name}");
     let room = match params.structure {
-        Structure::Bvh(Quality::Best) => 0.3,
-        Structure::KdTree => 1.0,
-        Structure::Bvh(_) => 0.0,
+        BlasKind::Bvh(Quality::High) => 0.3,
+        BlasKind::KdTree => 1.0,
+        BlasKind::Bvh(_) => 0.0,
     };
     assert!(all as f32 <= primitives.len() as f32 * (1.0 + room), "{name}: {all} of {}", primitives.len());
     for triangle in &blas.triangles {
@@ -45,8 +45,8 @@ fn check(name: &str, mesh: &Mesh, params: &BuildParams) {
         assert_eq!([triangle.v0, triangle.v1, triangle.v2], corners, "{name}");
     }
     let stats = blas.stats();
-    assert!(stats.depth <= MAX_DEPTH, "{name}: {} levels", stats.depth);
-    assert!(stats.largest_leaf <= params.max_leaf_size, "{name}: {} in a leaf", stats.largest_leaf);
+    assert!(stats.depth <= MAX_BLAS_DEPTH, "{name}: {} levels", stats.depth);
+    assert!(stats.max_leaf_size <= params.max_leaf_size, "{name}: {} in a leaf", stats.max_leaf_size);
     assert_eq!(stats.primitive_count, blas.triangles.len(), "{name}");
     assert_eq!(stats.bytes, 32 * blas.nodes.len() + 96 * blas.wide_nodes.len() + 48 * blas.triangles.len());
 }
@@ -56,7 +56,7 @@ fn adversarial_meshes() {
     for (name, mesh) in adversarial().into_iter().chain(beyond_arithmetic()) {
         assert!(!mesh.indices.is_empty());
         for (params, structure) in PARAMS.iter().flat_map(|p| STRUCTURES.map(|s| (p, s))) {
-            check(&format!("{name}, {structure:?}"), &mesh, &BuildParams { structure, ..*params });
+            check(&format!("{name}, {structure:?}"), &mesh, &BlasBuildParams { structure, ..*params });
         }
     }
 }
@@ -65,8 +65,8 @@ fn adversarial_meshes() {
 fn a_million_identical_triangles() {
     let geometry = geometry(&identical(1_000_000));
     for structure in STRUCTURES {
-        let stats = Blas::build(&geometry, &BuildParams::new(structure)).unwrap().stats();
-        assert_eq!((stats.primitive_count - stats.duplicate_count, stats.largest_leaf.max(15)), (1_000_000, 15));
+        let stats = Blas::build(&geometry, &BlasBuildParams::new(structure)).unwrap().stats();
+        assert_eq!((stats.primitive_count - stats.duplicate_count, stats.max_leaf_size.max(15)), (1_000_000, 15));
         // Halving a million down to 15 takes 17 levels.
         assert!(stats.depth <= 19, "{structure:?}: {} levels", stats.depth);
     }
@@ -78,7 +78,7 @@ fn nothing_to_hit_gives_no_nodes() {
     let unused = Geometry::new([Vec3::ONE; 3], []);
     let without_area = Geometry::new([Vec3::ONE, Vec3::X], [[0, 0, 1], [1, 1, 1]]);
     for geometry in [nothing, unused, without_area] {
-        let blas = Blas::build(&geometry, &BuildParams::default()).unwrap();
+        let blas = Blas::build(&geometry, &BlasBuildParams::default()).unwrap();
         assert!(blas.nodes.is_empty() && blas.triangles.is_empty() && blas.bounds.is_empty());
         assert_eq!((blas.validate(), blas.stats().node_count), (Ok(()), 0));
     }
@@ -90,7 +90,7 @@ fn invalid_geometry_is_refused() {
     let infinite = Geometry::new([Vec3::ZERO, Vec3::X, Vec3::splat(f32::INFINITY)], [[0, 1, 2]]);
     let not_a_number = Geometry::new([Vec3::ZERO, Vec3::NAN, Vec3::Y], [[0, 1, 2]]);
     for (geometry, at) in [(missing, ("indices", 1)), (infinite, ("positions", 2)), (not_a_number, ("positions", 1))] {
-        match Blas::build(&geometry, &BuildParams::default()) {
+        match Blas::build(&geometry, &BlasBuildParams::default()) {
             Err(Error::InvalidGeometry { what, index, .. }) => assert_eq!((what, index), at),
             other => panic!("{other:?}"),
         }
@@ -101,9 +101,9 @@ fn invalid_geometry_is_refused() {
 fn leaf_size_is_clamped() {
     let mesh = Mesh::soup(3, 500);
     for (asked, largest) in [(0, 1), (1, 1), (4, 4), (1000, 15)] {
-        let params = BuildParams { max_leaf_size: asked, triangle_cost: 1e-3, ..BuildParams::default() };
+        let params = BlasBuildParams { max_leaf_size: asked, triangle_cost: 1e-3, ..BlasBuildParams::default() };
         let blas = Blas::build(&geometry(&mesh), &params).unwrap();
-        assert_eq!(blas.stats().largest_leaf.max(largest), largest);
+        assert_eq!(blas.stats().max_leaf_size.max(largest), largest);
     }
 }
 
@@ -117,7 +117,7 @@ fn the_number_of_threads_changes_nothing() {
         for structure in STRUCTURES {
             let build = |threads| {
                 let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-                pool.install(|| Blas::build(&geometry(&mesh), &BuildParams::new(structure)).unwrap())
+                pool.install(|| Blas::build(&geometry(&mesh), &BlasBuildParams::new(structure)).unwrap())
             };
             let alone = build(1);
             assert!(alone.nodes.len() > 10_000);
@@ -130,7 +130,7 @@ fn the_number_of_threads_changes_nothing() {
 
 #[test]
 fn a_subtree_starts_with_its_larger_child() {
-    let blas = Blas::build(&geometry(&Mesh::soup(1, 2000)), &BuildParams::default()).unwrap();
+    let blas = Blas::build(&geometry(&Mesh::soup(1, 2000)), &BlasBuildParams::default()).unwrap();
     let area = |i: usize| {
         let [x, y, z] = [0, 1, 2].map(|axis| blas.nodes[i].max[axis] - blas.nodes[i].min[axis]);
         x * y + y * z + z * x
@@ -146,8 +146,8 @@ fn a_subtree_starts_with_its_larger_child() {
 }
 
 /// Breaks a good hierarchy and returns what validation says.
-fn verdict(spoil: impl FnOnce(&mut Blas)) -> StructureError {
-    let mut blas = Blas::build(&geometry(&Mesh::soup(1, 300)), &BuildParams::default()).unwrap();
+fn verdict(spoil: impl FnOnce(&mut Blas)) -> BvhError {
+    let mut blas = Blas::build(&geometry(&Mesh::soup(1, 300)), &BlasBuildParams::default()).unwrap();
     assert_eq!(blas.validate(), Ok(()));
     spoil(&mut blas);
     blas.validate().unwrap_err()
@@ -155,7 +155,7 @@ fn verdict(spoil: impl FnOnce(&mut Blas)) -> StructureError {
 
 #[test]
 fn validation_finds_every_kind_of_fault() {
-    use StructureError::{Box, Escape, Leaf, Missing, Repeated};
+    use BvhError::{Box, Escape, Leaf, Missing, Repeated};
     let first_leaf = |blas: &Blas| blas.nodes.iter().position(|n| n.primitives != PrimitiveRange::INNER).unwrap();
 
     // Escape order.
@@ -174,14 +174,14 @@ fn validation_finds_every_kind_of_fault() {
     let without_margin = |b: &mut Blas| {
         let leaf = first_leaf(b);
         let range = b.nodes[leaf].primitives;
-        let triangles = &b.triangles[range.first() as usize..][..range.count() as usize];
+        let triangles = &b.triangles[range.first_primitive() as usize..][..range.primitive_count() as usize];
         b.nodes[leaf].min[0] = triangles.iter().flat_map(|t| [t.v0[0], t.v1[0], t.v2[0]]).fold(f32::MAX, f32::min);
     };
     assert!(matches!(verdict(without_margin), Box { .. }));
     // Primitives.
     let shifted = |b: &mut Blas| {
         let leaf = first_leaf(b);
-        b.nodes[leaf].primitives = PrimitiveRange::leaf(1, b.nodes[leaf].primitives.count());
+        b.nodes[leaf].primitives = PrimitiveRange::leaf(1, b.nodes[leaf].primitives.primitive_count());
     };
     assert!(matches!(verdict(shifted), Leaf { first: 1, .. }));
     assert!(matches!(verdict(|b| b.triangles.truncate(299)), Leaf { .. }));
@@ -196,15 +196,15 @@ fn validation_finds_every_kind_of_fault() {
 
 #[test]
 fn validation_finds_what_is_missing_of_a_triangle() {
-    let good = Blas::build(&geometry(&Mesh::soup(1, 300)), &BuildParams::new(Structure::KdTree)).unwrap();
-    assert!(good.repeats && good.validate() == Ok(()));
+    let good = Blas::build(&geometry(&Mesh::soup(1, 300)), &BlasBuildParams::new(BlasKind::KdTree)).unwrap();
+    assert!(good.has_duplicates && good.validate() == Ok(()));
     let times = |primitive: u32| good.triangles.iter().filter(|t| t.primitive == primitive).count();
     let repeated = (0..300).find(|&p| times(p) > 1).unwrap();
     // Nothing is to repeat.
     let mut once = good.clone();
-    once.repeats = false;
+    once.has_duplicates = false;
     let verdict = once.validate();
-    assert!(matches!(verdict, Err(StructureError::Repeated { .. })), "{verdict:?}");
+    assert!(matches!(verdict, Err(BvhError::Repeated { .. })), "{verdict:?}");
     // A part after the other becomes another triangle that is there anyway: something is not covered, or twice in a leaf.
     let mut found = 0;
     for (i, _) in good.triangles.iter().enumerate().filter(|(_, t)| t.primitive == repeated) {
@@ -219,13 +219,13 @@ fn validation_finds_what_is_missing_of_a_triangle() {
 fn every_point_of_a_triangle_is_in_a_leaf_that_holds_it() {
     let (mut points, mut parts) = (0, 0);
     for (seed, (name, mesh)) in adversarial().into_iter().enumerate() {
-        for structure in [Structure::Bvh(Quality::Best), Structure::KdTree] {
-            let blas = Blas::build(&geometry(&mesh), &BuildParams::new(structure)).unwrap();
+        for structure in [BlasKind::Bvh(Quality::High), BlasKind::KdTree] {
+            let blas = Blas::build(&geometry(&mesh), &BlasBuildParams::new(structure)).unwrap();
             parts += blas.stats().duplicate_count;
             let mut leaves = vec![Vec::new(); mesh.indices.len()];
             for node in blas.nodes.iter().filter(|node| node.primitives != PrimitiveRange::INNER) {
-                let first = node.primitives.first() as usize;
-                for triangle in &blas.triangles[first..][..node.primitives.count() as usize] {
+                let first = node.primitives.first_primitive() as usize;
+                for triangle in &blas.triangles[first..][..node.primitives.primitive_count() as usize] {
                     leaves[triangle.primitive as usize].push(node);
                 }
             }

@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 use proptest::prelude::*;
-use ropewalk::accel::{RebuildReason, StructureError, Tlas, TlasUpdate};
+use ropewalk::accel::{BvhError, RebuildReason, Tlas, TlasUpdate};
 use ropewalk::device::DeviceBuffer;
 use ropewalk::device::layout::{NONE, Node, PrimitiveRange};
 use ropewalk::math::Aabb;
@@ -25,14 +25,14 @@ impl Built {
         self.tlas.update(&mut self.nodes, boxes, changed)
     }
 
-    pub(crate) fn validate(&self, boxes: &[Aabb]) -> Result<(), StructureError> {
+    pub(crate) fn validate(&self, boxes: &[Aabb]) -> Result<(), BvhError> {
         self.tlas.validate(&self.nodes, boxes)
     }
 
     /// The slots in the leaves, ascending.
     pub(crate) fn slots(&self) -> Vec<u32> {
         let leaves = self.nodes.iter().filter(|n| n.primitives != PrimitiveRange::INNER);
-        let mut slots: Vec<u32> = leaves.map(|n| n.primitives.first()).collect();
+        let mut slots: Vec<u32> = leaves.map(|n| n.primitives.first_primitive()).collect();
         slots.sort_unstable();
         slots
     }
@@ -71,7 +71,7 @@ fn boxes_that_cannot_be_hit_are_left_out_and_infinite_ones_cut() {
     let built = build(&boxes);
     assert_eq!(built.slots(), [0, 3, 4, 5]);
     assert!(built.nodes.iter().all(|n| n.min.iter().chain(&n.max).all(|c| c.is_finite())));
-    assert!(built.nodes.iter().all(|n| !n.is_unused()));
+    assert!(built.nodes.iter().all(|n| !n.is_empty()));
     assert_eq!(built.validate(&boxes), Ok(()));
 }
 
@@ -119,23 +119,23 @@ fn the_number_of_threads_changes_nothing() {
 fn validation_finds_a_lost_a_doubled_and_an_uncovered_instance() {
     let boxes: Vec<Aabb> = (0..9).map(|i| cube(Vec3::splat(i as f32), 0.25)).collect();
     let built = build(&boxes);
-    let leaves: Vec<usize> = (0..17).filter(|&i| built.nodes[i].primitives.count() > 0).collect();
+    let leaves: Vec<usize> = (0..17).filter(|&i| built.nodes[i].primitives.primitive_count() > 0).collect();
     assert_eq!(leaves.len(), 9);
 
     let mut doubled = built.nodes.to_vec();
     doubled[leaves[1]].primitives = doubled[leaves[0]].primitives;
     assert!(built.tlas.validate(&doubled, &boxes).is_err());
     let mut lost = built.nodes.to_vec();
-    lost[leaves[1]] = Node::unused(lost[leaves[1]].escape_index);
+    lost[leaves[1]] = Node::unused_leaf(lost[leaves[1]].escape_index);
     assert!(built.tlas.validate(&lost, &boxes).is_err());
     let mut unused_last = built.nodes.to_vec();
-    unused_last[leaves[8]] = Node::unused(NONE);
-    assert!(matches!(built.tlas.validate(&unused_last, &boxes), Err(StructureError::Escape { .. })));
+    unused_last[leaves[8]] = Node::unused_leaf(NONE);
+    assert!(matches!(built.tlas.validate(&unused_last, &boxes), Err(BvhError::Escape { .. })));
     let more = [&boxes[..], &boxes[3..4]].concat();
-    assert_eq!(built.validate(&more), Err(StructureError::Missing { primitive: 9 }));
+    assert_eq!(built.validate(&more), Err(BvhError::Missing { primitive: 9 }));
     let mut grown = boxes.clone();
     grown[3] = cube(Vec3::splat(3.0), 0.5);
-    assert!(matches!(built.validate(&grown), Err(StructureError::Box { .. })));
+    assert!(matches!(built.validate(&grown), Err(BvhError::Box { .. })));
 }
 
 /// A coordinate of any magnitude, often one of a few.

@@ -42,18 +42,18 @@ fn check_tight(built: &Built, boxes: &[Aabb]) {
     let fresh = build(boxes);
     let mut expected = vec![None; boxes.len()];
     for node in fresh.nodes.iter().filter(|n| n.primitives != PrimitiveRange::INNER) {
-        expected[node.primitives.first() as usize] = Some((node.min, node.max));
+        expected[node.primitives.first_primitive() as usize] = Some((node.min, node.max));
     }
     let nodes = &built.nodes;
     for (i, node) in nodes.iter().enumerate() {
         if node.primitives != PrimitiveRange::INNER {
-            assert_eq!(Some((node.min, node.max)), expected[node.primitives.first() as usize], "leaf {i}");
+            assert_eq!(Some((node.min, node.max)), expected[node.primitives.first_primitive() as usize], "leaf {i}");
         } else if node.escape_index as usize != i + 1 {
             let children = [nodes[i + 1], nodes[nodes[i + 1].escape_index as usize]];
-            let used = children.iter().filter(|child| !child.is_unused());
+            let used = children.iter().filter(|child| !child.is_empty());
             let around = Aabb::from_points(used.flat_map(|c| [Vec3::from(c.min), Vec3::from(c.max)]));
             if around.is_empty() {
-                assert!(node.is_unused(), "{i}");
+                assert!(node.is_empty(), "{i}");
             } else {
                 assert_eq!((Vec3::from(node.min), Vec3::from(node.max)), (around.min, around.max), "inner node {i}");
             }
@@ -72,7 +72,7 @@ fn walk(nodes: &[Node], origin: Vec3, direction: Vec3) -> (Vec<u32>, usize) {
         } else if node.primitives == PrimitiveRange::INNER {
             index += 1;
         } else {
-            entered.push(node.primitives.first());
+            entered.push(node.primitives.first_primitive());
             index = node.escape_index;
         }
     }
@@ -92,7 +92,8 @@ fn check_rays(built: &Built, random: &mut Random) {
     for i in 0..8 {
         let (origin, direction) =
             if i == 0 { (Vec3::ZERO, Vec3::splat(16.0)) } else { (random.in_cube() * 2.0, random.in_cube()) };
-        let met = leaves.iter().filter(|leaf| meets(leaf, origin, direction)).map(|leaf| leaf.primitives.first());
+        let met =
+            leaves.iter().filter(|leaf| meets(leaf, origin, direction)).map(|leaf| leaf.primitives.first_primitive());
         let mut met: Vec<u32> = met.collect();
         met.sort_unstable();
         assert_eq!(walk(&built.nodes, origin, direction).0, met);
@@ -356,14 +357,14 @@ fn instances_come_without_a_rebuild_once_there_is_room() {
     };
     // A hierarchy has no room until it has been needed once.
     assert_eq!(built.nodes.len(), 2 * boxes.len() - 1);
-    assert_eq!(grow(&mut built, &mut boxes), TlasUpdate::Rebuilt(RebuildReason::NoRoom));
+    assert_eq!(grow(&mut built, &mut boxes), TlasUpdate::Rebuilt(RebuildReason::NoUnusedLeaf));
     for _ in 0..100 {
         let update = grow(&mut built, &mut boxes);
         assert!(matches!(update, TlasUpdate::Patched { instances: 1, .. }), "{update:?}");
         check(&built, &boxes);
         check_rays(&built, &mut Random(8));
     }
-    assert_eq!(grow(&mut built, &mut boxes), TlasUpdate::Rebuilt(RebuildReason::NoRoom));
+    assert_eq!(grow(&mut built, &mut boxes), TlasUpdate::Rebuilt(RebuildReason::NoUnusedLeaf));
     check(&built, &boxes);
 }
 
@@ -375,7 +376,7 @@ fn instances_go_without_a_rebuild_until_half_are_gone() {
         let mut boxes = field(500);
         let mut built = build(&boxes);
         let leaves = built.nodes.iter().rev().filter(|n| n.primitives != PrimitiveRange::INNER);
-        let mut slots: Vec<u32> = leaves.map(|n| n.primitives.first()).collect();
+        let mut slots: Vec<u32> = leaves.map(|n| n.primitives.first_primitive()).collect();
         order(&mut slots);
         for (gone, slot) in (1..).zip(slots) {
             boxes[slot as usize] = Aabb::EMPTY;
@@ -415,7 +416,7 @@ fn the_last_leaf_can_go_while_many_others_move() {
     let mut boxes = field(200);
     let mut built = build(&boxes);
     while built.tlas.instance_count() > 110 {
-        let last = built.nodes.last().unwrap().primitives.first();
+        let last = built.nodes.last().unwrap().primitives.first_primitive();
         let changed = move_by(&mut boxes, 0..200, Vec3::splat(0.001));
         boxes[last as usize] = Aabb::EMPTY;
         assert!(matches!(built.update(&boxes, &changed), TlasUpdate::Refitted { .. }));

@@ -1,7 +1,7 @@
 //! Boxes of placed geometries: around every corner, and hardly larger than they must be.
 
 use glam::{DAffine3, DMat3, DQuat, DVec3};
-use ropewalk::accel::{Blas, BuildParams, Support};
+use ropewalk::accel::{Blas, BlasBuildParams, SupportFunction};
 use ropewalk::math::Bounds;
 
 use crate::kernel_support::{Mesh, Random};
@@ -30,7 +30,7 @@ fn random_affine(random: &mut Random) -> DAffine3 {
 
 /// How much larger than it must be the box is on its worst side, in units of half the diagonal of the geometry's own box, as
 /// long as that is in the world. Fails where it is too small.
-fn excess(name: &str, blas: &Blas, support: &Support, world_from_local: &DAffine3) -> f64 {
+fn excess(name: &str, blas: &Blas, support: &SupportFunction, world_from_local: &DAffine3) -> f64 {
     let (expected, found) = (brute_force(blas, world_from_local), support.world_bounds(world_from_local));
     let size = Bounds::from(blas.bounds).radius();
     let tolerance = 1e-12 * (size + expected.min.abs().max(expected.max.abs()).max_element());
@@ -53,8 +53,8 @@ fn boxes_are_around_all_corners_and_tight() {
         ("tall grid", grid(90, 3, 1, 2.0)),
     ];
     for (name, mesh) in adversarial().into_iter().chain(beyond_arithmetic()).chain(meshes) {
-        let blas = Blas::build(&geometry(&mesh), &BuildParams::default()).unwrap();
-        let support = Support::new(&blas);
+        let blas = Blas::build(&geometry(&mesh), &BlasBuildParams::default()).unwrap();
+        let support = SupportFunction::new(&blas);
         let mut worst = 0.0f64;
         for _ in 0..200 {
             worst = worst.max(excess(name, &blas, &support, &random_affine(&mut random)));
@@ -76,8 +76,8 @@ fn boxes_are_around_all_corners_and_tight() {
 fn few_corners_give_exact_boxes() {
     let mut random = Random(8);
     for mesh in [Mesh::soup(1, 1), Mesh::soup(2, 20), Mesh::icosphere(1), grid(7, 7, 0, 1.0)] {
-        let blas = Blas::build(&geometry(&mesh), &BuildParams::default()).unwrap();
-        let support = Support::new(&blas);
+        let blas = Blas::build(&geometry(&mesh), &BlasBuildParams::default()).unwrap();
+        let support = SupportFunction::new(&blas);
         for _ in 0..100 {
             assert!(excess("few", &blas, &support, &random_affine(&mut random)) <= 0.0);
         }
@@ -86,8 +86,8 @@ fn few_corners_give_exact_boxes() {
 
 #[test]
 fn without_rotation_boxes_are_exact() {
-    let blas = Blas::build(&geometry(&Mesh::displaced_icosphere(4)), &BuildParams::default()).unwrap();
-    let support = Support::new(&blas);
+    let blas = Blas::build(&geometry(&Mesh::displaced_icosphere(4)), &BlasBuildParams::default()).unwrap();
+    let support = SupportFunction::new(&blas);
     let turns = [
         DMat3::IDENTITY,
         DMat3::from_cols(DVec3::Y, DVec3::Z, DVec3::X),
@@ -103,9 +103,11 @@ fn without_rotation_boxes_are_exact() {
 
 #[test]
 fn nothing_has_an_empty_box_and_a_flat_matrix_a_flat_one() {
-    let nothing = Support::new(&Blas::build(&ropewalk::Geometry::default(), &BuildParams::default()).unwrap());
+    let nothing =
+        SupportFunction::new(&Blas::build(&ropewalk::Geometry::default(), &BlasBuildParams::default()).unwrap());
     assert!(nothing.world_bounds(&DAffine3::IDENTITY).is_empty());
-    let sphere = Support::new(&Blas::build(&geometry(&Mesh::icosphere(4)), &BuildParams::default()).unwrap());
+    let sphere =
+        SupportFunction::new(&Blas::build(&geometry(&Mesh::icosphere(4)), &BlasBuildParams::default()).unwrap());
     let flat = DAffine3::from_scale(DVec3::new(1.0, 0.0, 1.0));
     let bounds = sphere.world_bounds(&flat);
     assert_eq!((bounds.min.y, bounds.max.y), (0.0, 0.0));

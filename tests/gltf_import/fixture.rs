@@ -108,7 +108,7 @@ impl Fixture {
     pub(crate) fn try_import_with(&self, options: &ImportOptions) -> Result<Imported> {
         let mut scene = Scene::new();
         let root = scene.root();
-        let report = gltf::import_slice(&self.glb(), Path::new("fixture.glb"), options, &mut scene, root)?;
+        let report = gltf::import_from_slice(&self.glb(), Path::new("fixture.glb"), options, &mut scene, root)?;
         scene.validate().unwrap();
         Ok(Imported { scene, report })
     }
@@ -163,6 +163,6 @@ impl Imported {
 
     /// What was not honoured, one line each.
     pub(crate) fn notes(&self) -> Vec<String> {
-        self.report.not_honoured.iter().map(ToString::to_string).collect()
+        self.report.warnings.iter().map(ToString::to_string).collect()
     }
 }

@@ -80,7 +80,7 @@ fn deep_nesting() {
         let mut scene = ropewalk::Scene::new();
         let root = scene.root();
         let options = Default::default();
-        let error = ropewalk::gltf::import_slice(text.as_bytes(), path, &options, &mut scene, root).unwrap_err();
+        let error = ropewalk::gltf::import_from_slice(text.as_bytes(), path, &options, &mut scene, root).unwrap_err();
         assert!(error.to_string().contains("recursion limit"), "{error}");
     }
 }

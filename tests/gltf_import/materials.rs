@@ -7,7 +7,7 @@ use base64::Engine;
 use glam::{Affine2, Vec2, Vec3, Vec4};
 use image::{DynamicImage, ImageFormat, RgbaImage};
 use ropewalk::gltf::{self, ImportOptions};
-use ropewalk::{AlphaMode, Filter, Material, Sampler, Scene, Texture, TextureRef, Wrap};
+use ropewalk::{AlphaMode, FilterMode, Material, Sampler, Scene, Texture, TextureRef, WrapMode};
 use serde_json::{Value, json};
 
 use crate::fixture::*;
@@ -149,7 +149,7 @@ fn every_texture_with_its_sampler_set_and_transform() {
     let transform =
         Affine2::from_mat2_translation(glam::Mat2::from_diagonal(Vec2::new(2.0, 3.0)), Vec2::new(0.5, 0.25));
     let base_color = material.base_color_texture.unwrap();
-    let nearest = Sampler { wrap_u: Wrap::Clamp, wrap_v: Wrap::Mirror, filter: Filter::Nearest };
+    let nearest = Sampler { wrap_u: WrapMode::Clamp, wrap_v: WrapMode::Mirror, filter: FilterMode::Nearest };
     let texture = base_color.texture;
     assert_eq!(base_color, TextureRef { texture, sampler: nearest, tex_coord: 1, transform });
     let plain = TextureRef::new(texture);
@@ -288,7 +288,8 @@ fn external_and_embedded_buffers() {
         let mut scene = Scene::new();
         let root = scene.root();
         let path = folder.path().join("scene.gltf");
-        let report = gltf::import_slice(text.as_bytes(), &path, &ImportOptions::default(), &mut scene, root).unwrap();
+        let report =
+            gltf::import_from_slice(text.as_bytes(), &path, &ImportOptions::default(), &mut scene, root).unwrap();
         let imported = Imported { scene, report };
         assert_eq!(*imported.geometry().positions, [Vec3::ZERO, Vec3::X, Vec3::Y * 2.0], "{uri}");
     }

@@ -67,7 +67,7 @@ fn everything() -> Fixture {
 fn import(bytes: &[u8]) -> bool {
     let mut scene = Scene::new();
     let (root, revision) = (scene.root(), scene.revision());
-    match gltf::import_slice(bytes, Path::new("mutant.glb"), &ImportOptions::default(), &mut scene, root) {
+    match gltf::import_from_slice(bytes, Path::new("mutant.glb"), &ImportOptions::default(), &mut scene, root) {
         Ok(report) => {
             scene.validate().unwrap();
             assert!(scene.world_bounds(root).is_ok());

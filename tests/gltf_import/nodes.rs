@@ -1,7 +1,7 @@
 //! Nodes: hierarchy, transforms, names, sharing, instances, cameras, lights, scenes; and what an error leaves behind.
 
 use glam::{DMat3, DVec3, Vec2, Vec3};
-use ropewalk::gltf::{self, ImportOptions, SceneChoice};
+use ropewalk::gltf::{self, ImportOptions, SceneSelector};
 use ropewalk::{Camera, Core, Error, Light, LightKind, Scene, Transform};
 use serde_json::json;
 
@@ -27,7 +27,7 @@ fn hierarchy_names_and_transforms_are_kept() {
     assert_eq!((report.node(""), report.node("stuhl")), (None, None));
 
     // Half a turn about Z, then twice the size and mirrored in y, then a long way.
-    let world = scene.world(node(1)).unwrap();
+    let world = scene.world_from_local(node(1)).unwrap();
     assert_eq!(world.translation, DVec3::new(6378137.123456 + 2.0, -4.0, 6.0));
     let expected = DMat3::from_cols(DVec3::X * -2.0, DVec3::Y * 2.0, DVec3::Z * 2.0);
     assert!((world.matrix3 - expected).abs_diff_eq(DMat3::ZERO, 1e-15));
@@ -108,7 +108,7 @@ fn instances_get_a_transform_each_and_share_the_core() {
     let shown: Vec<_> = instances.iter().flat_map(|&i| scene.children(i).unwrap()).collect();
     assert_eq!(scene.core_key(shown[0]).unwrap(), scene.core_key(shown[1]).unwrap());
     // The corner (0, 2, 0), scaled by 3, turned by half a turn about Z, moved by 10, and by the node.
-    let corner = scene.world(shown[1]).unwrap().transform_point3(DVec3::new(0.0, 2.0, 0.0));
+    let corner = scene.world_from_local(shown[1]).unwrap().transform_point3(DVec3::new(0.0, 2.0, 0.0));
     assert!((corner - DVec3::new(10.0, -6.0, 5.0)).length() < 1e-12, "{corner}");
     assert_eq!(imported.report.counts.scene_triangles, 2);
     assert!(imported.notes()[0].contains("_ID"), "{:?}", imported.notes());
@@ -202,14 +202,14 @@ fn hidden_nodes_are_hidden() {
     fixture.json["nodes"][0]["extensions"] = json!({"KHR_node_visibility": {"visible": false}});
     let Imported { scene, report } = fixture.import();
     assert!(!scene.is_visible(report.nodes[0].unwrap()).unwrap());
-    assert!(report.not_honoured.is_empty());
+    assert!(report.warnings.is_empty());
 }
 
 #[test]
 fn one_scene_of_several() {
     let mut fixture = Fixture::new();
     fixture.json["nodes"] = json!([{"name": "a"}, {"name": "b"}, {"name": "c"}]);
-    let imported = |fixture: &Fixture, scene: Option<SceneChoice>| {
+    let imported = |fixture: &Fixture, scene: Option<SceneSelector>| {
         let Imported { report, .. } = fixture.try_import_with(&ImportOptions { scene })?;
         let present: String = ["a", "b", "c"].into_iter().filter(|name| report.node(name).is_some()).collect();
         Ok::<_, Error>((report.scene, present))
@@ -221,12 +221,12 @@ fn one_scene_of_several() {
     assert_eq!(imported(&fixture, None).unwrap(), (Some(0), "a".into()));
     fixture.json["scene"] = json!(1);
     assert_eq!(imported(&fixture, None).unwrap(), (Some(1), "bc".into()));
-    assert_eq!(imported(&fixture, Some(SceneChoice::Index(0))).unwrap(), (Some(0), "a".into()));
-    assert_eq!(imported(&fixture, Some(SceneChoice::Index(2))).unwrap(), (Some(2), String::new()));
-    assert_eq!(imported(&fixture, Some(SceneChoice::Name("second".into()))).unwrap(), (Some(1), "bc".into()));
-    let error = imported(&fixture, Some(SceneChoice::Name("third".into()))).unwrap_err().to_string();
+    assert_eq!(imported(&fixture, Some(SceneSelector::Index(0))).unwrap(), (Some(0), "a".into()));
+    assert_eq!(imported(&fixture, Some(SceneSelector::Index(2))).unwrap(), (Some(2), String::new()));
+    assert_eq!(imported(&fixture, Some(SceneSelector::Name("second".into()))).unwrap(), (Some(1), "bc".into()));
+    let error = imported(&fixture, Some(SceneSelector::Name("third".into()))).unwrap_err().to_string();
     assert_eq!(error, "fixture.glb: /scenes: there is no scene \"third\"; there are 3, with the names: second");
-    assert!(imported(&fixture, Some(SceneChoice::Index(3))).is_err());
+    assert!(imported(&fixture, Some(SceneSelector::Index(3))).is_err());
 }
 
 #[test]
@@ -246,14 +246,14 @@ fn an_error_leaves_the_scene_as_it_was() {
     camera.json["cameras"] = json!([{"type": "perspective", "perspective": {"yfov": -1, "znear": 1}}]);
     camera.json["nodes"] = json!([{"mesh": 0}, {"camera": 0}]);
     for fixture in [cycle, nan, camera] {
-        assert!(gltf::import_slice(&fixture.glb(), path, &options, &mut scene, root).is_err());
+        assert!(gltf::import_from_slice(&fixture.glb(), path, &options, &mut scene, root).is_err());
         assert_eq!(scene.revision(), revision);
     }
 
     let child = scene.add(root, Transform::IDENTITY).unwrap();
     scene.remove(child).unwrap();
     let revision = scene.revision();
-    let stale = gltf::import_slice(&Fixture::triangle().glb(), path, &options, &mut scene, child);
+    let stale = gltf::import_from_slice(&Fixture::triangle().glb(), path, &options, &mut scene, child);
     assert!(matches!(stale, Err(Error::StaleKey { .. })));
     assert_eq!(scene.revision(), revision);
     assert_eq!((scene.node_count(), scene.geometry_count(), scene.material_count()), (1, 0, 0));

@@ -70,7 +70,7 @@ fn skinned() -> Fixture {
 fn skins_are_applied_as_the_joints_stand() {
     let imported = skinned().import();
     let node = imported.geometry_nodes(0)[0];
-    let world = imported.scene.world(node).unwrap();
+    let world = imported.scene.world_from_local(node).unwrap();
     let geometry = imported.drawn(node).0;
     let corner = |i: usize| world.transform_point3(geometry.positions[i].as_dvec3());
     // On the first joint: up by 3 - 1 in z. On the second: a quarter turn about Y takes +X to -Z, then up by 10 in y.

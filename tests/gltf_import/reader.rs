@@ -171,7 +171,7 @@ fn compare(path: &Path) -> usize {
         assert_eq!(drawn.len(), primitives.len(), "{}", path.display());
         for (primitive, child) in primitives.iter().zip(drawn) {
             let Core::Geometry { geometry, .. } = *scene.core(child).unwrap() else { unreachable!() };
-            let found = ours(scene.geometry(geometry).unwrap(), &scene.world(child).unwrap());
+            let found = ours(scene.geometry(geometry).unwrap(), &scene.world_from_local(child).unwrap());
             let expected = reference.corners(primitive, weights);
             assert_eq!(found.len(), expected.len(), "{}", path.display());
             let palette = node.skin().map(|skin| palette(&reference, &skin, &worlds));

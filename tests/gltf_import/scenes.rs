@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-use ropewalk::gltf::{self, ImportCounts, ImportOptions, ImportReport, SceneChoice};
+use ropewalk::gltf::{self, ImportCounts, ImportOptions, ImportReport, SceneSelector};
 use ropewalk::{Error, Scene};
 
 use crate::corpus::{gltf_files, scenes};
@@ -53,7 +53,7 @@ fn row_of(rows: &HashMap<PathBuf, Row>, file: &Path) -> Row {
 }
 
 /// Imports a scene of a file, checks the counts against the scene graph's own, and takes it out again.
-fn import(file: &Path, scene_choice: Option<SceneChoice>) -> Result<ImportReport, Error> {
+fn import(file: &Path, scene_choice: Option<SceneSelector>) -> Result<ImportReport, Error> {
     let mut scene = Scene::new();
     let root = scene.root();
     let report = gltf::import_with(file, &ImportOptions { scene: scene_choice }, &mut scene, root)?;
@@ -93,7 +93,7 @@ fn every_scene_has_the_counts_of_the_index() {
         let default = import(file, None).unwrap_or_else(|e| panic!("{e}"));
         // "Nodes" and "unique" count the whole file, "scene" its default scene.
         let of_all: Vec<ImportCounts> =
-            (0..default.scenes.len()).map(|i| import(file, Some(SceneChoice::Index(i))).unwrap().counts).collect();
+            (0..default.scenes.len()).map(|i| import(file, Some(SceneSelector::Index(i))).unwrap().counts).collect();
         let found = Row {
             unique: of_all.iter().map(|counts| counts.mesh_triangles).sum(),
             scene: default.counts.scene_triangles,
@@ -134,7 +134,7 @@ fn what_is_not_honoured_is_reported() {
     ] {
         let report = import(&folder.join("gltf").join(file), None).unwrap();
         let mut features: Vec<String> = Vec::new();
-        for note in report.not_honoured {
+        for note in report.warnings {
             if !features.contains(&note.feature) {
                 features.push(note.feature);
             }

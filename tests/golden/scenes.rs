@@ -5,7 +5,7 @@ use std::f64::consts::FRAC_PI_4;
 
 use glam::{Affine2, DQuat, DVec3, Vec2, Vec3, Vec4, dvec3, vec2, vec3};
 use ropewalk::graph::{Geometry, Light, LightKind, Material, NodeKey, Sampler, Texture, TextureRef};
-use ropewalk::{AlphaMode, Camera, Core, Filter, Result, Scene, Sky, Transform, View, Wrap};
+use ropewalk::{AlphaMode, Camera, Core, FilterMode, Result, Scene, Sky, Transform, View, WrapMode};
 
 use crate::builtin::{self, shapes, textures};
 
@@ -23,7 +23,7 @@ pub(crate) fn builtin_scene(scene: &mut Scene) -> Result<View> {
 
 /// A ball, a block and a lens of glass before a checkerboard: the ball shows it upside down, the block shifted.
 pub(crate) fn glass(scene: &mut Scene) -> Result<View> {
-    let checker = checkerboard(scene, Filter::Nearest)?;
+    let checker = checkerboard(scene, FilterMode::Nearest)?;
     put(scene, shapes::cuboid(vec3(4.0, 2.0, 0.1)), checker, at(0.0, 1.0, -2.5))?;
     stand_on_floor(scene, Vec3::splat(0.4))?;
     put(scene, shapes::sphere(5), Material::glass(1.5), scaled(-1.3, 0.8, 0.0, DVec3::splat(0.8)))?;
@@ -73,9 +73,9 @@ pub(crate) fn texture_wrap(scene: &mut Scene) -> Result<View> {
     let stretched = quad.tex_coords[0].iter().flat_map(|set| set.iter()).map(|&uv| uv * 2.0 - 0.5);
     quad.tex_coords[0] = Some(stretched.collect());
     let quad = scene.add_geometry(quad)?;
-    for (row, filter) in [Filter::Nearest, Filter::Linear].into_iter().enumerate() {
+    for (row, filter) in [FilterMode::Nearest, FilterMode::Linear].into_iter().enumerate() {
         for column in 0..4 {
-            let wrap = [Wrap::Repeat, Wrap::Mirror, Wrap::Clamp, Wrap::Repeat][column];
+            let wrap = [WrapMode::Repeat, WrapMode::Mirror, WrapMode::Clamp, WrapMode::Repeat][column];
             let transform = if column == 3 {
                 Affine2::from_scale_angle_translation(Vec2::splat(0.8), 0.5, vec2(0.2, 0.0))
             } else {
@@ -199,7 +199,7 @@ pub(crate) fn vertex_colors(scene: &mut Scene) -> Result<View> {
 
 /// In the dark: what emits is seen, evenly or by texture; what is unlit is seen as it is; the rest is black.
 pub(crate) fn emissive_unlit(scene: &mut Scene) -> Result<View> {
-    let checker = checkerboard(scene, Filter::Nearest)?;
+    let checker = checkerboard(scene, FilterMode::Nearest)?;
     let black = Material::diffuse(Vec3::ZERO);
     let materials = [
         Material { emissive: vec3(1.0, 0.5, 0.1), ..black.clone() },
@@ -251,7 +251,7 @@ pub(crate) fn metallic_roughness(scene: &mut Scene) -> Result<View> {
     // Green is roughness, blue is metallic.
     let texels = [[0, 0, 255, 255], [0, 200, 255, 255], [0, 60, 0, 255], [0, 255, 0, 255]].into();
     let texture = scene.add_texture(Texture { width: 2, height: 2, texels })?;
-    let sampler = Sampler { filter: Filter::Nearest, ..Sampler::default() };
+    let sampler = Sampler { filter: FilterMode::Nearest, ..Sampler::default() };
     let by_texture = TextureRef { sampler, ..TextureRef::new(texture) };
     for row in 0..2 {
         for column in 0..5 {
@@ -320,7 +320,7 @@ fn grey_sky() -> Sky {
 }
 
 /// A material that shows light and dark squares, four along each side of the texture.
-fn checkerboard(scene: &mut Scene, filter: Filter) -> Result<Material> {
+fn checkerboard(scene: &mut Scene, filter: FilterMode) -> Result<Material> {
     let color = |p: Vec2| {
         let square = (p * 4.0).floor();
         if (square.x + square.y) as i32 % 2 == 0 { vec3(0.9, 0.85, 0.7) } else { vec3(0.1, 0.12, 0.2) }

@@ -1,6 +1,6 @@
 //! The GPU, `emulated` and `cpu` give the same hits.
 
-use ropewalk::device::layout::{Hit, NONE};
+use ropewalk::device::layout::{HitRecord, NONE};
 use ropewalk::trace::{Cpu, Emulated, Tracer};
 
 use crate::soup::{Random, rays, soup};
@@ -51,7 +51,7 @@ fn no_rays_give_no_answers() {
     assert!(gpu.any_hits(&arrays, &[], 1).unwrap().is_empty());
 }
 
-fn compare(found: &[Hit], expected: &[Hit]) {
+fn compare(found: &[HitRecord], expected: &[HitRecord]) {
     let mut at_edges = 0;
     for (i, (found, expected)) in found.iter().zip(expected).enumerate() {
         let same = (found.instance, found.primitive) == (expected.instance, expected.primitive);
@@ -65,7 +65,7 @@ fn compare(found: &[Hit], expected: &[Hit]) {
         if same && expected.instance != NONE {
             let off = (found.u - expected.u).abs().max((found.v - expected.v).abs());
             assert!(off <= 1e-3, "ray {i}: weights off by {off}");
-            assert_eq!((found.triangle, found.back), (expected.triangle, expected.back), "ray {i}");
+            assert_eq!((found.triangle, found.back_face), (expected.triangle, expected.back_face), "ray {i}");
         }
     }
     println!("{at_edges} of {} rays at edges", found.len());

@@ -2,7 +2,7 @@
 
 use ropewalk::Error;
 use ropewalk::trace::Tracer as _;
-use ropewalk::trace::gpu::{Adapters, GpuOptions, GpuTracer, required_limits, wanted_features};
+use ropewalk::trace::gpu::{AdapterKinds, GpuOptions, GpuTracer, optional_features, required_limits};
 
 use crate::soup::{Random, rays, soup};
 use crate::support::{tracer, usable};
@@ -16,7 +16,7 @@ fn an_adapter_serves() {
 
 #[test]
 fn no_adapter_is_an_error() {
-    let options = GpuOptions { adapters: Adapters::Any, backends: wgpu::Backends::empty() };
+    let options = GpuOptions { adapters: AdapterKinds::IncludingSoftware, backends: wgpu::Backends::empty() };
     let error = GpuTracer::new(&options).unwrap_err();
     assert!(matches!(&error, Error::NoGpu { reason } if reason.contains("no driver")), "{error}");
 }
@@ -37,7 +37,7 @@ fn software_adapters_are_refused_by_name_unless_any_will_do() {
 #[test]
 fn the_application_can_bring_its_own_device() {
     let Some((adapter, _)) = adapter() else { return };
-    let (device, queue) = device(&adapter, required_limits(&adapter), wanted_features(&adapter));
+    let (device, queue) = device(&adapter, required_limits(&adapter), optional_features(&adapter));
     let mut tracer = GpuTracer::from_device(device.clone(), queue).unwrap();
     assert_eq!(tracer.wgpu_device(), &device);
     let mut random = Random::new(1);
@@ -87,7 +87,7 @@ fn works_without_optional_features() {
     tracer.upload(&mut arrays).unwrap();
     tracer.render(&arrays, &crate::frame::request(8, 8, false)).unwrap();
     assert_eq!(tracer.trace_time(), None);
-    assert_eq!(tracer.read().unwrap().color.len(), 64);
+    assert_eq!(tracer.read_image().unwrap().color.len(), 64);
 }
 
 #[test]
@@ -99,7 +99,7 @@ fn a_lost_device_is_an_error_from_every_call() {
 #[test]
 fn a_lost_device_of_the_application_is_too() {
     let Some((adapter, _)) = adapter() else { return };
-    let (device, queue) = device(&adapter, required_limits(&adapter), wanted_features(&adapter));
+    let (device, queue) = device(&adapter, required_limits(&adapter), optional_features(&adapter));
     lose(GpuTracer::from_device(device, queue).unwrap());
 }
 
@@ -124,7 +124,7 @@ fn an_error_that_nobody_caught_fails_one_call_and_no_more() {
     drop(tracer.wgpu_device().create_buffer(&mistake));
     assert!(tracer.render(&arrays, &request).is_err());
     tracer.render(&arrays, &request).unwrap();
-    assert_eq!(tracer.read().unwrap().color.len(), 64);
+    assert_eq!(tracer.read_image().unwrap().color.len(), 64);
 }
 
 fn lose(mut tracer: GpuTracer) {
@@ -138,9 +138,9 @@ fn lose(mut tracer: GpuTracer) {
     let rays = rays(10, &mut random);
     arrays.instances.write(0, &[arrays.instances[1]]);
     let outcomes = [
-        tracer.read().err(),
+        tracer.read_image().err(),
         tracer.render(&arrays, &request).err(),
-        tracer.read().err(),
+        tracer.read_image().err(),
         tracer.closest_hits(&arrays, &rays, 1).err(),
         tracer.any_hits(&arrays, &rays, 1).err(),
         tracer.upload(&mut arrays).err(),

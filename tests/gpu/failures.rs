@@ -39,14 +39,14 @@ fn a_renderer_opens_its_device_again_and_uploads_everything_but_builds_nothing()
     assert!(expected.color.iter().any(|color| color[0] > 2.0 * color[2]), "the triangles are seen");
 
     // Lost between two frames, and between a frame and its reading.
-    renderer.gpu().unwrap().wgpu_device().destroy();
+    renderer.gpu_tracer().unwrap().wgpu_device().destroy();
     let error = renderer.render(&mut scene, &view).err().unwrap();
     assert!(matches!(error, Error::DeviceLost { .. }), "{error}");
     let second = renderer.render(&mut scene, &view).unwrap();
     assert_eq!((second.report().uploaded_bytes, second.report().compile.blas_built), (uploaded, 0));
     assert_eq!(second.image().unwrap().color, expected.color);
 
-    let lost = renderer.gpu().unwrap().wgpu_device().clone();
+    let lost = renderer.gpu_tracer().unwrap().wgpu_device().clone();
     let frame = renderer.render(&mut scene, &view).unwrap();
     lost.destroy();
     assert!(matches!(frame.image(), Err(Error::DeviceLost { .. })));
@@ -83,14 +83,14 @@ fn an_image_that_memory_cannot_hold_is_refused_and_the_next_is_drawn() {
     let view = View::framing(&mut scene, 40, 30).unwrap();
     let expected = draw(&mut renderer, &mut scene, &view);
     // Three textures of 4 GiB each, of which a software renderer makes none.
-    let side = renderer.gpu().unwrap().wgpu_device().limits().max_texture_dimension_2d;
+    let side = renderer.gpu_tracer().unwrap().wgpu_device().limits().max_texture_dimension_2d;
     let huge = View { width: side, height: side, aovs: true, ..view.clone() };
-    if renderer.gpu().unwrap().wgpu_device().adapter_info().device_type != wgpu::DeviceType::Cpu {
+    if renderer.gpu_tracer().unwrap().wgpu_device().adapter_info().device_type != wgpu::DeviceType::Cpu {
         println!("skipped: this GPU may have the memory");
         return;
     }
     let error = renderer.render(&mut scene, &huge).err().unwrap();
     assert!(matches!(error, Error::OutOfMemory { during: "tracing the frame", .. }), "{error}");
     assert_eq!(draw(&mut renderer, &mut scene, &view).color, expected.color);
-    assert_eq!(renderer.device().executor, "gpu");
+    assert_eq!(renderer.device_info().executor, "gpu");
 }

@@ -23,7 +23,7 @@ fn frames_of_any_size_are_read_whole() {
         for aovs in [false, true] {
             let request = request(width, height, aovs);
             tracer.render(&arrays, &request).unwrap();
-            compare(&tracer.read().unwrap(), &emulated(&arrays, &request));
+            compare(&tracer.read_image().unwrap(), &emulated(&arrays, &request));
         }
     }
 }
@@ -36,7 +36,7 @@ fn a_frame_without_pixels_is_empty() {
     tracer.render(&arrays, &request(8, 8, false)).unwrap();
     for (width, height) in [(0, 0), (0, 5), (5, 0)] {
         tracer.render(&arrays, &request(width, height, true)).unwrap();
-        let image = tracer.read().unwrap();
+        let image = tracer.read_image().unwrap();
         assert_eq!((image.width, image.height, image.color.len()), (width, height, 0));
         assert!(image.aovs.is_some_and(|aovs| aovs.depth.is_empty()));
         assert!(tracer.texture().is_none());
@@ -49,7 +49,7 @@ fn misses_have_no_node_and_no_end() {
     let mut arrays = soup(1, &mut Random::new(3));
     tracer.upload(&mut arrays).unwrap();
     tracer.render(&arrays, &request(64, 64, true)).unwrap();
-    let aovs = tracer.read().unwrap().aovs.unwrap();
+    let aovs = tracer.read_image().unwrap().aovs.unwrap();
     let missed = |i: &usize| aovs.triangle[*i] == u32::MAX;
     let misses: Vec<usize> = (0..64 * 64).filter(missed).collect();
     assert!(!misses.is_empty() && misses.len() < 64 * 64);
@@ -70,7 +70,7 @@ fn images_larger_than_a_texture_are_refused() {
     }
     assert!(tracer.render(&arrays, &request(u32::MAX, u32::MAX, false)).is_err());
     tracer.render(&arrays, &request(8, 8, false)).unwrap();
-    assert_eq!(tracer.read().unwrap().color.len(), 64);
+    assert_eq!(tracer.read_image().unwrap().color.len(), 64);
 }
 
 #[test]
@@ -115,7 +115,7 @@ fn the_time_of_a_frame_is_the_gpus() {
 fn emulated(arrays: &ropewalk::device::DeviceArrays, request: &FrameRequest) -> Image {
     let mut emulated = Emulated::default();
     emulated.render(arrays, request).unwrap();
-    emulated.read().unwrap()
+    emulated.read_image().unwrap()
 }
 
 /// Asserts that two images show the same, pixel by pixel.

@@ -1,13 +1,15 @@
 //! Shadows through glass that is in several leaves of its structure are as deep as through glass that is in one.
 
-use ropewalk::accel::{Blas, BuildParams};
+use ropewalk::accel::{Blas, BlasBuildParams};
 use ropewalk::device::DeviceArrays;
 use ropewalk::device::Needs;
-use ropewalk::device::layout::{Instance, InstanceFlags, LIGHT_DIRECTIONAL, Light, MaterialFlags, Streams};
+use ropewalk::device::layout::{
+    GeometryRecord, InstanceFlags, InstanceRecord, LIGHT_DIRECTIONAL, LightRecord, MaterialFlags,
+};
 use ropewalk::glam::Vec3;
-use ropewalk::graph::{Geometry, Structure};
+use ropewalk::graph::{BlasKind, Geometry};
 use ropewalk::image::Image;
-use ropewalk::trace::{Cpu, Emulated, FrameRequest, Layout, Tracer};
+use ropewalk::trace::{Cpu, Emulated, FrameRequest, Tracer, Traversal};
 
 use crate::soup::{Random, params, soup};
 use crate::support::tracer;
@@ -15,19 +17,19 @@ use crate::support::tracer;
 const COUNT: u32 = 60;
 
 /// Large panes that go through each other, in the light.
-fn panes(structure: Structure, flags: InstanceFlags) -> DeviceArrays {
+fn panes(structure: BlasKind, flags: InstanceFlags) -> DeviceArrays {
     let mut random = Random::new(9);
     let positions: Vec<Vec3> = (0..3 * COUNT).map(|_| Vec3::from(random.point()) * 4.0).collect();
     let indices: Vec<[u32; 3]> = (0..COUNT).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
-    let blas = Blas::build(&Geometry::new(positions, indices), &BuildParams::new(structure)).unwrap();
-    assert_eq!(blas.repeats, structure == Structure::KdTree);
+    let blas = Blas::build(&Geometry::new(positions, indices), &BlasBuildParams::new(structure)).unwrap();
+    assert_eq!(blas.has_duplicates, structure == BlasKind::KdTree);
 
     let mut arrays = soup(1, &mut random);
-    let instance = Instance { flags: flags.bits(), ..arrays.instances[0] };
+    let instance = InstanceRecord { flags: flags.bits(), ..arrays.instances[0] };
     arrays.instances.replace(&[instance]);
     arrays.blas_nodes.replace(&blas.nodes);
     arrays.wide_nodes.replace(&blas.wide_nodes);
-    let streams = Streams { first_wide_node: 0, ..arrays.geometries[0] };
+    let streams = GeometryRecord { first_wide_node: 0, ..arrays.geometries[0] };
     arrays.geometries.replace(&[streams]);
     arrays.triangles.replace(&blas.triangles);
     let mut leaf = arrays.tlas_nodes[0];
@@ -37,13 +39,13 @@ fn panes(structure: Structure, flags: InstanceFlags) -> DeviceArrays {
     material.base_color = [0.9, 0.8, 0.7, 0.1];
     material.flags = MaterialFlags::BLEND.bits();
     arrays.materials.replace(&[material]);
-    let light = Light {
+    let light = LightRecord {
         kind: LIGHT_DIRECTIONAL,
         direction: [0.0, -0.6, -0.8],
         color: [5.0; 3],
         ..bytemuck::Zeroable::zeroed()
     };
-    arrays.lights.replace(&[Light { range: f32::MAX, ..light }]);
+    arrays.lights.replace(&[LightRecord { range: f32::MAX, ..light }]);
     arrays
 }
 
@@ -52,7 +54,7 @@ fn draw(tracer: &mut dyn Tracer, arrays: &mut DeviceArrays) -> Image {
     (params.light_count, params.max_depth) = (1, 2);
     tracer.upload(arrays).unwrap();
     tracer.render(arrays, &FrameRequest { params, needs: Needs::BLEND | Needs::LIGHTS, aovs: false }).unwrap();
-    tracer.read().unwrap()
+    tracer.read_image().unwrap()
 }
 
 /// How many pixels differ by more than rounding.
@@ -64,13 +66,13 @@ fn differences(a: &Image, b: &Image) -> usize {
 #[test]
 fn a_pane_in_several_leaves_darkens_once() {
     let once = InstanceFlags::TRANSLUCENT;
-    let expected = draw(&mut Emulated::default(), &mut panes(Structure::default(), once));
-    let emulated = |layout| -> Box<dyn Tracer> { Box::new(Emulated::default().with_layout(layout)) };
-    for mut tracer in [emulated(Layout::Rope), emulated(Layout::Wide), Box::new(Cpu::default())] {
-        let layered = draw(&mut *tracer, &mut panes(Structure::KdTree, once | InstanceFlags::REPEATS));
+    let expected = draw(&mut Emulated::default(), &mut panes(BlasKind::default(), once));
+    let emulated = |layout| -> Box<dyn Tracer> { Box::new(Emulated::default().with_traversal(layout)) };
+    for mut tracer in [emulated(Traversal::Rope), emulated(Traversal::Wide), Box::new(Cpu::default())] {
+        let layered = draw(&mut *tracer, &mut panes(BlasKind::KdTree, once | InstanceFlags::HAS_DUPLICATES));
         assert_eq!(differences(&layered, &expected), 0, "{:?}", tracer.device());
         // Not told that there is more than one of them, it is too dark.
-        let count = differences(&draw(&mut *tracer, &mut panes(Structure::KdTree, once)), &expected);
+        let count = differences(&draw(&mut *tracer, &mut panes(BlasKind::KdTree, once)), &expected);
         assert!(count > 20, "{count} pixels, {:?}", tracer.device());
     }
 }
@@ -78,9 +80,9 @@ fn a_pane_in_several_leaves_darkens_once() {
 #[test]
 fn the_gpu_sees_the_same_layers() {
     let Some(mut gpu) = tracer() else { return };
-    let flags = InstanceFlags::TRANSLUCENT | InstanceFlags::REPEATS;
-    let expected = draw(&mut Emulated::default(), &mut panes(Structure::KdTree, flags));
-    let found = draw(&mut gpu, &mut panes(Structure::KdTree, flags));
+    let flags = InstanceFlags::TRANSLUCENT | InstanceFlags::HAS_DUPLICATES;
+    let expected = draw(&mut Emulated::default(), &mut panes(BlasKind::KdTree, flags));
+    let found = draw(&mut gpu, &mut panes(BlasKind::KdTree, flags));
     let count = differences(&found, &expected);
     assert!(count * 200 < expected.color.len(), "{count} of {} pixels differ", expected.color.len());
 }

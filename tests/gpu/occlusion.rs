@@ -63,16 +63,16 @@ fn openness(queries: &Queries<'_>, params: &example::Params, pixel: u32) -> f32 
     let x = (column as f32 + 0.5) / params.width as f32 * 2.0 - 1.0;
     let y = 1.0 - (row as f32 + 0.5) / params.height as f32 * 2.0;
     let direction = (params.forward + params.right * x + params.up * y).normalize();
-    let Some(hit) = queries.closest(&Ray::new(params.eye.as_dvec3(), direction.as_dvec3())).unwrap() else {
+    let Some(hit) = queries.closest_hit(&Ray::new(params.eye.as_dvec3(), direction.as_dvec3())).unwrap() else {
         return 1.0;
     };
-    let side = if hit.back { -1.0 } else { 1.0 };
+    let side = if hit.back_face { -1.0 } else { 1.0 };
     let normal = (hit.shading_normal * side).as_vec3();
     let open = (0..params.samples).filter(|i| {
         let outward = outward(normal, pixel * params.samples + i).as_dvec3();
         let from = hit.position + hit.geometric_normal * side * 1e-6;
         let ray = Ray { t_max: params.radius.into(), ..Ray::new(from, outward) };
-        !queries.any(&ray).unwrap()
+        !queries.any_hit(&ray).unwrap()
     });
     open.count() as f32 / params.samples as f32
 }

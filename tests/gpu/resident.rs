@@ -2,7 +2,7 @@
 
 use ropewalk::Error;
 use ropewalk::device::DeviceArrays;
-use ropewalk::device::layout::{Hit, Ray};
+use ropewalk::device::layout::{HitRecord, RayRecord};
 use ropewalk::trace::Tracer as _;
 use ropewalk::trace::gpu::{GpuTracer, RayBuffers};
 use wgpu::BufferUsages;
@@ -13,18 +13,18 @@ use crate::soup::{Random, rays, soup};
 use crate::support::tracer;
 
 /// The answers to `rays` by way of buffers.
-fn resident<T: bytemuck::Pod>(tracer: &mut GpuTracer, rays: &[Ray], ray_mask: u32, closest: bool) -> Vec<T> {
+fn resident<T: bytemuck::Pod>(tracer: &mut GpuTracer, rays: &[RayRecord], ray_mask: u32, closest: bool) -> Vec<T> {
     let (device, queue) = (tracer.wgpu_device().clone(), tracer.wgpu_queue().clone());
     let contents = bytemuck::cast_slice(rays);
     let usage = BufferUsages::STORAGE;
     let rays_buffer = device.create_buffer_init(&wgpu::util::BufferInitDescriptor { label: None, contents, usage });
-    let size = size_of_val(rays) as u64 / size_of::<Ray>() as u64 * size_of::<T>() as u64;
+    let size = size_of_val(rays) as u64 / size_of::<RayRecord>() as u64 * size_of::<T>() as u64;
     let buffer =
         |usage| device.create_buffer(&wgpu::BufferDescriptor { label: None, size, usage, mapped_at_creation: false });
     let answers = buffer(BufferUsages::STORAGE | BufferUsages::COPY_SRC);
     let staging = buffer(BufferUsages::COPY_DST | BufferUsages::MAP_READ);
     let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-    let buffers = RayBuffers { rays: &rays_buffer, answers: &answers, count: rays.len() as u32, ray_mask };
+    let buffers = RayBuffers { rays: &rays_buffer, results: &answers, count: rays.len() as u32, ray_mask };
     match closest {
         true => tracer.record_closest_hits(&mut encoder, &buffers).unwrap(),
         false => tracer.record_any_hits(&mut encoder, &buffers).unwrap(),
@@ -37,12 +37,12 @@ fn resident<T: bytemuck::Pod>(tracer: &mut GpuTracer, rays: &[Ray], ray_mask: u3
     bytemuck::pod_collect_to_vec(&view)
 }
 
-fn same(mut tracer: GpuTracer, mut arrays: DeviceArrays, rays: &[Ray]) {
+fn same(mut tracer: GpuTracer, mut arrays: DeviceArrays, rays: &[RayRecord]) {
     tracer.upload(&mut arrays).unwrap();
     for ray_mask in [u32::MAX, 2] {
         let expected = tracer.closest_hits(&arrays, rays, ray_mask).unwrap();
         assert!(expected.iter().any(|hit| hit.instance != u32::MAX));
-        assert_eq!(resident::<Hit>(&mut tracer, rays, ray_mask, true), expected);
+        assert_eq!(resident::<HitRecord>(&mut tracer, rays, ray_mask, true), expected);
         let expected = tracer.any_hits(&arrays, rays, ray_mask).unwrap();
         let found = resident::<u32>(&mut tracer, rays, ray_mask, false);
         assert_eq!(found.iter().map(|&answer| answer != 0).collect::<Vec<_>>(), expected);
@@ -78,7 +78,7 @@ fn buffers_that_do_not_do_are_refused() {
     let copies = buffer(320, BufferUsages::COPY_DST);
     let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
     let mut refusal = |tracer: &mut GpuTracer, rays, answers, count| {
-        tracer.record_closest_hits(&mut encoder, &RayBuffers { rays, answers, count, ray_mask: 1 }).err()
+        tracer.record_closest_hits(&mut encoder, &RayBuffers { rays, results: answers, count, ray_mask: 1 }).err()
     };
     assert!(matches!(refusal(&mut tracer, &good, &good, 1), Some(Error::Gpu { .. })), "nothing was uploaded");
     tracer.upload(&mut arrays).unwrap();

@@ -4,7 +4,7 @@
 use glam::{DVec3, Vec3, Vec4};
 use ropewalk::image::Image;
 use ropewalk::trace::gpu::GpuTracer;
-use ropewalk::trace::{Cpu, Layout};
+use ropewalk::trace::{Cpu, Traversal};
 use ropewalk::{Camera, Core, Geometry, GeometryKey, Material, MaterialKey, NodeKey, Renderer, Scene, Transform, View};
 
 use crate::device::limited;
@@ -18,7 +18,7 @@ fn after_every_edit_the_gpu_shows_the_scene() {
 
 #[test]
 fn after_every_edit_it_does_where_nodes_and_triangles_are_split_too() {
-    for layout in [Layout::Rope, Layout::Wide] {
+    for layout in [Traversal::Rope, Traversal::Wide] {
         let gpu = limited(|limits| limits.max_storage_buffer_binding_size = 8192);
         after_every_edit(gpu.map(|gpu| gpu.with_layout(layout)), 30);
     }

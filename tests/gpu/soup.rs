@@ -2,7 +2,9 @@
 
 use bytemuck::Zeroable;
 use ropewalk::device::DeviceArrays;
-use ropewalk::device::layout::{FrameParams, Instance, Material, NONE, Node, PrimitiveRange, Ray, Streams, Triangle};
+use ropewalk::device::layout::{
+    FrameParams, GeometryRecord, InstanceRecord, MaterialRecord, NONE, Node, PrimitiveRange, RayRecord, Triangle,
+};
 
 /// A small generator of the same numbers everywhere (PCG).
 pub(crate) struct Random(u64);
@@ -35,7 +37,7 @@ const SCALE: f32 = 0.2;
 const PADDED: f32 = 1.01;
 
 /// A geometry that has nothing but its triangles.
-const NO_STREAMS: Streams = Streams {
+const NO_STREAMS: GeometryRecord = GeometryRecord {
     first_index: NONE,
     first_normal: NONE,
     first_tex_coord_0: NONE,
@@ -46,7 +48,7 @@ const NO_STREAMS: Streams = Streams {
 };
 
 /// What all instances are made of.
-const GREY: Material = Material {
+const GREY: MaterialRecord = MaterialRecord {
     base_color: [0.5, 0.5, 0.5, 1.0],
     emissive: [0.1, 0.0, 0.0],
     metallic: 0.0,
@@ -87,7 +89,7 @@ pub(crate) fn set_instance(arrays: &mut DeviceArrays, i: usize, random: &mut Ran
         values[row] = scale;
         values
     });
-    let instance = Instance {
+    let instance = InstanceRecord {
         local_from_world,
         world_from_local,
         first_node: i as u32,
@@ -96,7 +98,7 @@ pub(crate) fn set_instance(arrays: &mut DeviceArrays, i: usize, random: &mut Ran
         material: 0,
         mask: 1 + (i as u32 % 2),
         flags: 0,
-        node: [i as u32, 1],
+        node_key: [i as u32, 1],
     };
     let triangles = [0; TRIANGLES_A_LEAF].map(|_| random_triangle(random));
     let triangles: Vec<_> = (0..).zip(triangles).map(|(primitive, t)| Triangle { primitive, ..t }).collect();
@@ -131,11 +133,11 @@ pub(crate) fn link(arrays: &mut DeviceArrays) {
 }
 
 /// Rays from a sphere around the soup to points in it.
-pub(crate) fn rays(count: usize, random: &mut Random) -> Vec<Ray> {
+pub(crate) fn rays(count: usize, random: &mut Random) -> Vec<RayRecord> {
     let mut ray = || {
         let (from, to) = (random.point().map(|x| x * 3.0), random.point());
         let direction = [0, 1, 2].map(|i| to[i] - from[i]);
-        Ray { origin: from, t_min: 0.0, direction, t_max: f32::MAX }
+        RayRecord { origin: from, t_min: 0.0, direction, t_max: f32::MAX }
     };
     (0..count).map(|_| ray()).collect()
 }

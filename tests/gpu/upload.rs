@@ -3,7 +3,7 @@
 
 use ropewalk::Error;
 use ropewalk::device::DeviceArrays;
-use ropewalk::device::layout::{Instance, Material, Node, Ray, Streams, Triangle};
+use ropewalk::device::layout::{GeometryRecord, InstanceRecord, MaterialRecord, Node, RayRecord, Triangle};
 use ropewalk::trace::gpu::GpuTracer;
 use ropewalk::trace::{Emulated, Tracer as _};
 
@@ -15,8 +15,11 @@ use crate::support::tracer;
 fn the_first_upload_copies_all_and_the_second_nothing() {
     let Some(mut tracer) = tracer() else { return };
     let mut arrays = soup(10, &mut Random::new(1));
-    let all = 10 * (2 * size_of::<Node>() + size_of::<Instance>() + TRIANGLES_A_LEAF * size_of::<Triangle>());
-    assert_eq!(tracer.upload(&mut arrays).unwrap(), (all + size_of::<Streams>() + size_of::<Material>()) as u64);
+    let all = 10 * (2 * size_of::<Node>() + size_of::<InstanceRecord>() + TRIANGLES_A_LEAF * size_of::<Triangle>());
+    assert_eq!(
+        tracer.upload(&mut arrays).unwrap(),
+        (all + size_of::<GeometryRecord>() + size_of::<MaterialRecord>()) as u64
+    );
     assert_eq!(tracer.bind_groups_made(), 1);
     assert_eq!(tracer.upload(&mut arrays).unwrap(), 0);
     assert_eq!(tracer.bind_groups_made(), 1);
@@ -30,10 +33,10 @@ fn one_changed_element_is_all_that_is_copied() {
     tracer.upload(&mut arrays).unwrap();
     let rays = rays(500, &mut random);
     for i in [0, 500, 999] {
-        let moved = Instance { first_triangle: 0, ..arrays.instances[i] };
-        let moved = if i == 0 { Instance { mask: 4, ..moved } } else { moved };
+        let moved = InstanceRecord { first_triangle: 0, ..arrays.instances[i] };
+        let moved = if i == 0 { InstanceRecord { mask: 4, ..moved } } else { moved };
         arrays.instances.write(i, &[moved]);
-        assert_eq!(tracer.upload(&mut arrays).unwrap(), size_of::<Instance>() as u64);
+        assert_eq!(tracer.upload(&mut arrays).unwrap(), size_of::<InstanceRecord>() as u64);
         agree(&mut tracer, &arrays, &rays);
     }
     assert_eq!(tracer.bind_groups_made(), 1);
@@ -52,10 +55,10 @@ fn scattered_changes_arrive_each_in_its_place() {
             // Another's triangles, in its own place.
             let other = ((i + step) % 400 * TRIANGLES_A_LEAF) as u32;
             changed += usize::from(arrays.instances[i].first_triangle != other);
-            arrays.instances.write(i, &[Instance { first_triangle: other, ..arrays.instances[i] }]);
+            arrays.instances.write(i, &[InstanceRecord { first_triangle: other, ..arrays.instances[i] }]);
         }
         assert!(changed > 400 / step / 2, "{changed}");
-        assert_eq!(tracer.upload(&mut arrays).unwrap(), (changed * size_of::<Instance>()) as u64);
+        assert_eq!(tracer.upload(&mut arrays).unwrap(), (changed * size_of::<InstanceRecord>()) as u64);
         agree(&mut tracer, &arrays, &rays);
     }
 }
@@ -82,7 +85,7 @@ fn arrays_that_grow_keep_what_they_held() {
         set_instance(&mut arrays, count - 1, &mut random);
         link(&mut arrays);
         // Of the top level, the last leaf before and the one after it.
-        let added = size_of::<Instance>() + triangles + size_of::<Node>() + 2 * size_of::<Node>();
+        let added = size_of::<InstanceRecord>() + triangles + size_of::<Node>() + 2 * size_of::<Node>();
         assert_eq!(tracer.upload(&mut arrays).unwrap(), added as u64, "{count}");
         if count % 20 == 0 {
             agree(&mut tracer, &arrays, &rays);
@@ -129,14 +132,14 @@ fn memory_follows_the_arrays_down() {
     let mut random = Random::new(6);
     let mut arrays = soup(2000, &mut random);
     tracer.upload(&mut arrays).unwrap();
-    let before = tracer.memory();
+    let before = tracer.memory_bytes();
     let few = arrays.instances[..10].to_vec();
     arrays.instances.replace(&few);
     let few = arrays.triangles[..10 * TRIANGLES_A_LEAF].to_vec();
     arrays.triangles.replace(&few);
     link(&mut arrays);
     tracer.upload(&mut arrays).unwrap();
-    assert!(tracer.memory() < before / 4, "{} of {before}", tracer.memory());
+    assert!(tracer.memory_bytes() < before / 4, "{} of {before}", tracer.memory_bytes());
     agree(&mut tracer, &arrays, &rays(500, &mut random));
 }
 
@@ -177,7 +180,7 @@ fn an_array_too_large_for_a_buffer_is_named_before_anything_is_written() {
     // Nothing was copied, nothing forgotten.
     arrays.triangles.replace(&before);
     let copied = tracer.upload(&mut arrays).unwrap();
-    assert!(copied >= size_of::<Instance>() as u64 && copied < all, "{copied}");
+    assert!(copied >= size_of::<InstanceRecord>() as u64 && copied < all, "{copied}");
     agree(&mut tracer, &arrays, &rays(300, &mut random));
 }
 
@@ -210,7 +213,7 @@ fn large_arrays_lie_in_several_bindings_and_rays_hit_the_same() {
     tracer.render(&arrays, &crate::frame::request(64, 48, true)).unwrap();
     let mut emulated = Emulated::default();
     emulated.render(&arrays, &crate::frame::request(64, 48, true)).unwrap();
-    let (found, expected) = (tracer.read().unwrap().aovs.unwrap(), emulated.read().unwrap().aovs.unwrap());
+    let (found, expected) = (tracer.read_image().unwrap().aovs.unwrap(), emulated.read_image().unwrap().aovs.unwrap());
     assert_eq!((found.node, found.triangle), (expected.node, expected.triangle));
 }
 
@@ -250,7 +253,7 @@ fn arrays_of_many_megabytes_arrive_whole() {
     let far = 1_500_000;
     let triangles = arrays.triangles.to_vec();
     arrays.triangles.write(far, &triangles);
-    let moved = |i: &Instance| Instance { first_triangle: i.first_triangle + far as u32, ..*i };
+    let moved = |i: &InstanceRecord| InstanceRecord { first_triangle: i.first_triangle + far as u32, ..*i };
     let instances: Vec<_> = arrays.instances.iter().map(moved).collect();
     arrays.instances.replace(&instances);
     assert!(tracer.upload(&mut arrays).unwrap() > 64 << 20);
@@ -275,7 +278,7 @@ fn grow(arrays: &mut DeviceArrays, count: usize, random: &mut Random) {
 }
 
 /// Compares the hits of `rays` by triangle with those of an executor that reads `arrays` in place.
-fn agree(tracer: &mut GpuTracer, arrays: &DeviceArrays, rays: &[Ray]) {
+fn agree(tracer: &mut GpuTracer, arrays: &DeviceArrays, rays: &[RayRecord]) {
     let found = tracer.closest_hits(arrays, rays, u32::MAX).unwrap();
     let expected = Emulated::default().closest_hits(arrays, rays, u32::MAX).unwrap();
     assert_eq!(found.len(), expected.len());

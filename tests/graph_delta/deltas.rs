@@ -8,14 +8,14 @@ use proptest::prelude::*;
 use proptest::sample::Index;
 use proptest::test_runner::TestRunner;
 use ropewalk::{
-    Camera, Change, Changes, Core, CoreKey, Cursor, Delta, Error, Geometry, Keep, Material, NodeKey, NodeState, Object,
-    Scene, State, Switch, Transform,
+    Camera, Change, ChangeCursor, Changes, Core, CoreKey, Delta, Error, Geometry, KeepTransform, Material, NodeKey,
+    NodeState, ObjectKey, ObjectState, Scene, Switch, Transform,
 };
 
 use crate::{content, sample};
 
 /// A delta as anybody could have written it.
-fn forge(objects: &[(Object, Option<State>)]) -> Delta {
+fn forge(objects: &[(ObjectKey, Option<ObjectState>)]) -> Delta {
     // What a delta is to serde: its objects, and no generations.
     let bytes = postcard::to_stdvec(&(objects, None::<()>)).unwrap();
     postcard::from_bytes(&bytes).unwrap()
@@ -24,8 +24,8 @@ fn forge(objects: &[(Object, Option<State>)]) -> Delta {
 /// The named states of a small scene: root, an arm with a hand, a geometry.
 struct Small {
     scene: Scene,
-    arm: Object,
-    hand: Object,
+    arm: ObjectKey,
+    hand: ObjectKey,
 }
 
 impl Small {
@@ -38,13 +38,13 @@ impl Small {
         Self { scene, arm: arm.into(), hand: hand.into() }
     }
 
-    fn with(&self, object: Object, edit: impl FnOnce(&mut State)) -> (Object, Option<State>) {
+    fn with(&self, object: ObjectKey, edit: impl FnOnce(&mut ObjectState)) -> (ObjectKey, Option<ObjectState>) {
         let mut state = self.scene.state(object).unwrap();
         edit(&mut state);
         (object, Some(state))
     }
 
-    fn refuses(&mut self, objects: &[(Object, Option<State>)]) -> Error {
+    fn refuses(&mut self, objects: &[(ObjectKey, Option<ObjectState>)]) -> Error {
         let before = format!("{:?}", self.scene);
         let error = self.scene.apply(&forge(objects)).expect_err("it does not fit");
         assert_eq!(format!("{:?}", self.scene), before, "{error}");
@@ -52,16 +52,16 @@ impl Small {
     }
 }
 
-fn node(state: &mut State) -> &mut NodeState {
+fn node(state: &mut ObjectState) -> &mut NodeState {
     match state {
-        State::Node(node) => node,
+        ObjectState::Node(node) => node,
         other => panic!("{other:?} is not a node's"),
     }
 }
 
-fn key(object: Object) -> NodeKey {
+fn key(object: ObjectKey) -> NodeKey {
     match object {
-        Object::Node(key) => key,
+        ObjectKey::Node(key) => key,
         other => panic!("{other} is no node"),
     }
 }
@@ -70,16 +70,16 @@ fn key(object: Object) -> NodeKey {
 fn each_misfit_is_named() {
     let mut small = Small::new();
     let (arm, hand, root) = (small.arm, small.hand, small.scene.root());
-    let core = Object::from(small.scene.core_key(key(hand)).unwrap());
-    let root_core = Object::from(small.scene.core_key(root).unwrap());
+    let core = ObjectKey::from(small.scene.core_key(key(hand)).unwrap());
+    let root_core = ObjectKey::from(small.scene.core_key(root).unwrap());
 
-    let says = |error: Error, object: Object, words: &str| match &error {
+    let says = |error: Error, object: ObjectKey, words: &str| match &error {
         Error::Delta { object: found, what } => assert!(*found == object && what.contains(words), "{error}"),
         _ => panic!("{error}"),
     };
     says(small.refuses(&[(arm, None)]), hand, "parent is to go");
     says(small.refuses(&[(core, None)]), core, "still uses it");
-    says(small.refuses(&[(arm, Some(State::Core(Core::Group)))]), arm, "another kind");
+    says(small.refuses(&[(arm, Some(ObjectState::Core(Core::Group)))]), arm, "another kind");
     let twice = small.with(arm, |_| {});
     says(small.refuses(&[twice.clone(), twice]), arm, "twice");
     let rootless = small.with(hand, |state| node(state).parent = None);
@@ -95,15 +95,15 @@ fn each_misfit_is_named() {
     assert!(matches!(small.refuses(&[cycle]), Error::Cycle { .. }));
     // Whatever instances the root stands below it.
     for target in [root, key(arm), key(hand)] {
-        let itself = small.with(core, |state| *state = State::Core(Core::Instance(target)));
+        let itself = small.with(core, |state| *state = ObjectState::Core(Core::Instance(target)));
         assert!(matches!(small.refuses(&[itself]), Error::Cycle { .. }));
     }
     assert!(matches!(small.refuses(&[(root.into(), None)]), Error::Root { .. }));
-    let light = small.with(root_core, |state| *state = State::Core(Core::Camera(Camera::default())));
+    let light = small.with(root_core, |state| *state = ObjectState::Core(Core::Camera(Camera::default())));
     assert!(matches!(small.refuses(&[light]), Error::Root { .. }));
     let moved = small.with(root.into(), |state| node(state).parent = Some(key(arm)));
     assert!(matches!(small.refuses(&[moved]), Error::Root { .. }));
-    let bad = small.with(core, |state| *state = State::Core(Core::Transform(Transform::from_scale(DVec3::NAN))));
+    let bad = small.with(core, |state| *state = ObjectState::Core(Core::Transform(Transform::from_scale(DVec3::NAN))));
     assert!(matches!(small.refuses(&[bad]), Error::OutOfRange { .. }));
 
     // Two first children.
@@ -131,7 +131,7 @@ fn forged_keys_allocate_nothing() {
     // Two generations in one slot, one of which may live there.
     let two = [1, 3].map(|generation| {
         let key: CoreKey = slotmap::KeyData::from_ffi(generation << 32 | 9).into();
-        (key.into(), Some(State::Core(Core::Group)))
+        (key.into(), Some(ObjectState::Core(Core::Group)))
     });
     assert!(matches!(small.refuses(&two), Error::Delta { .. }));
     // Another generation lives there.
@@ -141,16 +141,16 @@ fn forged_keys_allocate_nothing() {
 /// Which children a switch shows depends on their places: a mirror that loses the first shows the second.
 #[test]
 fn children_change_places() {
-    let (mut scene, mut mirror, mut cursor) = (Scene::new(), Scene::new(), Cursor::default());
+    let (mut scene, mut mirror, mut cursor) = (Scene::new(), Scene::new(), ChangeCursor::default());
     let switch = scene.add(scene.root(), Switch::One(0)).unwrap();
     let [first, second] = [0, 1].map(|_| scene.add(switch, Core::Group).unwrap());
     mirror.apply(&scene.delta_since(&mut cursor)).unwrap();
     let is_shown = |scene: &mut Scene, node: NodeKey| {
         let hierarchy = scene.hierarchy().unwrap();
-        hierarchy.placed()[hierarchy.entry(node).unwrap()].visible
+        hierarchy.resolved()[hierarchy.entry(node).unwrap()].visible
     };
     assert!(is_shown(&mut mirror, first) && !is_shown(&mut mirror, second));
-    let mut of_mirror = Cursor::default();
+    let mut of_mirror = ChangeCursor::default();
     let _ = mirror.changes_since(&mut of_mirror);
 
     scene.remove(first).unwrap();
@@ -171,16 +171,16 @@ fn deep_and_wide() {
         chain.push(scene.add(*chain.last().unwrap(), Core::Group).unwrap());
     }
     scene.end_undo_group("a chain");
-    let (mut mirror, mut cursor) = (Scene::new(), Cursor::default());
+    let (mut mirror, mut cursor) = (Scene::new(), ChangeCursor::default());
     mirror.apply(&scene.delta_since(&mut cursor)).unwrap();
     for &node in &chain[1..] {
-        scene.reparent(node, scene.root(), Keep::Local).unwrap();
+        scene.reparent(node, scene.root(), KeepTransform::Local).unwrap();
     }
     scene.end_undo_group("a comb");
     mirror.apply(&scene.delta_since(&mut cursor)).unwrap();
     assert!(content(&mirror) == content(&scene));
     for pair in chain[1..].windows(2) {
-        scene.reparent(pair[0], pair[1], Keep::Local).unwrap();
+        scene.reparent(pair[0], pair[1], KeepTransform::Local).unwrap();
     }
     scene.end_undo_group("upside down");
     mirror.apply(&scene.delta_since(&mut cursor)).unwrap();
@@ -237,7 +237,7 @@ fn damage() -> impl Strategy<Value = Damage> {
 }
 
 impl Damage {
-    fn to(&self, objects: &mut Vec<(Object, Option<State>)>) {
+    fn to(&self, objects: &mut Vec<(ObjectKey, Option<ObjectState>)>) {
         let (a, b) = (self.0.index(objects.len()), self.1.index(objects.len()));
         let alike = std::mem::discriminant(&objects[a].0) == std::mem::discriminant(&objects[b].0);
         match self.2 {

@@ -8,7 +8,7 @@ use proptest::collection::vec;
 use proptest::prelude::*;
 use proptest::sample::Index;
 use proptest::test_runner::TestRunner;
-use ropewalk::{Core, Error, Scene, SceneFileFault};
+use ropewalk::{Core, Error, Scene, SceneFileError};
 
 use crate::{content, sample};
 
@@ -24,7 +24,9 @@ fn save(scene: &Scene, path: &Path) -> Vec<u8> {
 fn fault(error: &Error, path: &Path) -> String {
     assert!(error.to_string().contains(path.to_str().unwrap()), "{error} does not name the file");
     match error {
-        Error::SceneFile { frame: 0, fault, .. } => format!("{fault:?}").split([' ', '(']).next().unwrap().to_owned(),
+        Error::SceneFile { frame: 0, source: fault, .. } => {
+            format!("{fault:?}").split([' ', '(']).next().unwrap().to_owned()
+        }
         other => panic!("{other}"),
     }
 }
@@ -52,7 +54,7 @@ fn saved_loaded_and_saved_again_is_the_same() {
     assert_eq!(crc32(&bytes[HEADER + FRAME_HEAD..]).to_le_bytes(), bytes[HEADER + 8..HEADER + FRAME_HEAD]);
 
     // Keys are valid, or stale, as they were; new ones are new.
-    let keys: Vec<_> = scene.descendants(scene.root()).unwrap().collect();
+    let keys: Vec<_> = scene.subtree(scene.root()).unwrap().collect();
     assert!(keys.iter().all(|&key| loaded.contains(key)) && !loaded.contains(gone));
     for _ in 0..100 {
         let new = loaded.add(loaded.root(), Core::Group).unwrap();
@@ -88,7 +90,7 @@ fn what_is_no_scene_file_is_refused() {
     ] {
         assert_eq!(fault(&load(bytes).unwrap_err(), &folder.path().join("scene.ropewalk")), expected);
     }
-    assert!(matches!(load(&more), Err(Error::SceneFile { frame: 1, fault: SceneFileFault::Truncated, .. })));
+    assert!(matches!(load(&more), Err(Error::SceneFile { frame: 1, source: SceneFileError::Truncated, .. })));
     // Every length.
     for length in 0..bytes.len() {
         let error = load(&bytes[..length]).unwrap_err();

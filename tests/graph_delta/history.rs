@@ -3,7 +3,7 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use glam::{DVec3, Vec3};
-use ropewalk::{Core, Error, Geometry, Keep, Material, Scene, Transform};
+use ropewalk::{Core, Error, Geometry, KeepTransform, Material, Scene, Transform};
 
 use crate::content;
 
@@ -54,7 +54,7 @@ fn removed_objects_come_back_under_their_keys_with_their_streams() {
     // Others get the slots.
     let newcomer = scene.add_geometry(Geometry::default()).unwrap();
     let others: Vec<_> = (0..3).map(|_| scene.add(scene.root(), Core::Group).unwrap()).collect();
-    scene.reparent(others[0], others[1], Keep::Local).unwrap();
+    scene.reparent(others[0], others[1], KeepTransform::Local).unwrap();
     scene.undo().unwrap();
     assert_eq!(content(&scene), before);
     assert!(
@@ -121,7 +121,7 @@ fn an_instanced_node_goes_and_comes_back_unseen() {
     let instance = scene.add(scene.root(), Core::Instance(a)).unwrap();
     scene.hierarchy().unwrap();
     let result = scene.transaction(|scene| {
-        scene.reparent(a, b, Keep::World)?;
+        scene.reparent(a, b, KeepTransform::World)?;
         scene.remove(b)?;
         assert_eq!(*scene.core(instance)?, Core::Group);
         Err::<(), _>(Error::QueueClosed)

@@ -20,10 +20,10 @@ mod recordings;
 mod replica;
 mod session;
 
-use ropewalk::{Object, Scene, State};
+use ropewalk::{ObjectKey, ObjectState, Scene};
 
 /// All that a scene is, apart from which keys it gave out to objects that are gone.
-fn content(scene: &Scene) -> Vec<(Object, Option<State>)> {
+fn content(scene: &Scene) -> Vec<(ObjectKey, Option<ObjectState>)> {
     scene.snapshot().objects().map(|(object, state)| (object, state.cloned())).collect()
 }
 

@@ -2,14 +2,14 @@
 
 use std::fs;
 
-use ropewalk::{Error, Recorder, Replay, Scene, SceneFileFault};
+use ropewalk::{Error, Recorder, Replay, Scene, SceneFileError};
 
 use crate::content;
 use crate::model::Model;
 use crate::random::{Issued, raw_edit};
 
 /// A recorded session of random edits, and what the scene was after each frame.
-fn record(path: &std::path::Path) -> Vec<Vec<(ropewalk::Object, Option<ropewalk::State>)>> {
+fn record(path: &std::path::Path) -> Vec<Vec<(ropewalk::ObjectKey, Option<ropewalk::ObjectState>)>> {
     use proptest::strategy::{Strategy as _, ValueTree as _};
 
     let mut runner = proptest::test_runner::TestRunner::deterministic();
@@ -71,7 +71,7 @@ fn a_cut_recording_ends_where_it_is_cut() {
         match ending {
             // Cut between frames.
             Ok(_) => assert_eq!(replay.frame(), count),
-            Err(Error::SceneFile { path: named, frame, fault: SceneFileFault::Truncated }) => {
+            Err(Error::SceneFile { path: named, frame, source: SceneFileError::Truncated }) => {
                 assert_eq!((named.as_path(), frame), (path.as_path(), count));
             }
             Err(error) => panic!("{error}"),

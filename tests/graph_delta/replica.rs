@@ -4,7 +4,9 @@ use std::sync::mpsc::{Receiver, channel, sync_channel};
 use std::thread;
 
 use glam::DVec3;
-use ropewalk::{Cursor, Delta, DeviceChoice, Keep, NodeKey, Renderer, RendererOptions, Scene, Transform, View};
+use ropewalk::{
+    ChangeCursor, Delta, DeviceChoice, KeepTransform, NodeKey, Renderer, RendererOptions, Scene, Transform, View,
+};
 
 use crate::{content, sample};
 
@@ -15,7 +17,7 @@ const _: () = {
     const fn is_send_and_sync<T: Send + Sync>() {}
     is_send_and_sync::<Scene>();
     is_send_and_sync::<Delta>();
-    is_send_and_sync::<Cursor>();
+    is_send_and_sync::<ChangeCursor>();
 };
 
 /// Edits that keep a rule: as many nodes are named "even" as "odd", whenever a frame ends.
@@ -26,7 +28,7 @@ fn edit(scene: &mut Scene, nodes: &mut Vec<NodeKey>, frame: usize) {
     }
     let (a, b) = (nodes[frame * 17 % nodes.len()], nodes[frame * 13 % nodes.len()]);
     // Some of these would close cycles.
-    let _ = scene.reparent(a, b, Keep::Local);
+    let _ = scene.reparent(a, b, KeepTransform::Local);
     if frame.is_multiple_of(7) {
         // What goes is made up for.
         let gone = nodes.swap_remove(1 + frame % (nodes.len() - 1));
@@ -46,7 +48,7 @@ fn add(scene: &mut Scene, parent: NodeKey, name: &str, nodes: &mut Vec<NodeKey>)
 }
 
 fn named(scene: &Scene, name: &str) -> usize {
-    scene.descendants(scene.root()).unwrap().filter(|&node| scene.name(node).unwrap() == name).count()
+    scene.subtree(scene.root()).unwrap().filter(|&node| scene.name(node).unwrap() == name).count()
 }
 
 /// Applies what comes, checks the rule after each frame, and gives the final content.
@@ -69,7 +71,7 @@ fn replicas_on_threads_see_whole_frames() {
     let mut followers = Vec::new();
     let (in_step, in_step_received) = sync_channel(0);
     let (lagging, lagging_received) = channel();
-    let mut cursors = [Cursor::default(), Cursor::default()];
+    let mut cursors = [ChangeCursor::default(), ChangeCursor::default()];
     followers.push(thread::spawn(move || follow(&in_step_received)));
     followers.push(thread::spawn(move || follow(&lagging_received)));
     let mut late = Vec::new();
@@ -82,7 +84,7 @@ fn replicas_on_threads_see_whole_frames() {
         if frame % 70 == 50 {
             let (sender, received) = channel();
             followers.push(thread::spawn(move || follow(&received)));
-            late.push((sender, Cursor::default()));
+            late.push((sender, ChangeCursor::default()));
         }
         for (sender, cursor) in &mut late {
             sender.send(scene.delta_since(cursor)).unwrap();

@@ -8,7 +8,7 @@ use proptest::collection::vec;
 use proptest::prelude::*;
 use proptest::test_runner::TestRunner;
 use ropewalk::compile::Compiler;
-use ropewalk::{Cursor, Delta, Error, Object, Scene, State};
+use ropewalk::{ChangeCursor, Delta, Error, ObjectKey, ObjectState, Scene};
 
 use crate::canonical::Canonical;
 use crate::model::Model;
@@ -64,7 +64,7 @@ fn step() -> impl Strategy<Value = Step> {
 struct Session {
     scene: Scene,
     /// What can be undone to.
-    start: Vec<(Object, Option<State>)>,
+    start: Vec<(ObjectKey, Option<ObjectState>)>,
     model: Model,
     issued: Issued,
     /// Names of groups, and what the model was before each, or after it.
@@ -73,9 +73,9 @@ struct Session {
     /// At the last end of a group.
     group_start: Model,
     group_count: usize,
-    mirrors: [(Scene, Cursor); MIRRORS],
+    mirrors: [(Scene, ChangeCursor); MIRRORS],
     /// Of the first mirror.
-    second_hand: (Scene, Cursor),
+    second_hand: (Scene, ChangeCursor),
     compiler: Compiler,
     compiled_instances: usize,
 }
@@ -101,8 +101,8 @@ impl Session {
             undo: vec![],
             redo: vec![],
             group_count: 0,
-            mirrors: std::array::from_fn(|_| (Scene::new(), Cursor::default())),
-            second_hand: (Scene::new(), Cursor::default()),
+            mirrors: std::array::from_fn(|_| (Scene::new(), ChangeCursor::default())),
+            second_hand: (Scene::new(), ChangeCursor::default()),
             compiler: Compiler::new(),
             compiled_instances: 0,
         }
@@ -118,7 +118,7 @@ impl Session {
             Step::Undo => self.undo(),
             Step::Redo => self.redo(),
             Step::Sync { mirror, as_bytes } => self.sync(*mirror, *as_bytes),
-            Step::Restart(mirror) => self.mirrors[*mirror].1 = Cursor::default(),
+            Step::Restart(mirror) => self.mirrors[*mirror].1 = ChangeCursor::default(),
             Step::Update => {
                 compare::hierarchy(&mut self.scene, &self.model);
                 compare::boxes(&mut self.scene, &self.model);

@@ -15,7 +15,7 @@ pub(crate) fn state(scene: &mut Scene, model: &Model, issued: &Issued) {
     objects(scene, model);
     stale_keys(scene, model, issued);
     for &node in model.nodes.keys() {
-        world(scene.world(node).unwrap(), node, model);
+        world(scene.world_from_local(node).unwrap(), node, model);
     }
 }
 
@@ -30,7 +30,7 @@ fn structure(scene: &Scene, model: &Model) {
     assert_eq!(scene.node_count(), model.nodes.len());
     assert_eq!(scene.root(), model.root);
     let preorder = model.preorder(model.root);
-    assert_eq!(scene.descendants(model.root).unwrap().collect::<Vec<_>>(), preorder);
+    assert_eq!(scene.subtree(model.root).unwrap().collect::<Vec<_>>(), preorder);
     for (&key, node) in &model.nodes {
         assert!(scene.contains(key));
         assert_eq!(scene.parent(key).unwrap(), node.parent);
@@ -46,7 +46,7 @@ fn structure(scene: &Scene, model: &Model) {
         assert_eq!(scene.find(name), preorder.iter().copied().find(|key| model.nodes[key].name == name));
     }
     let subtree = model.nodes.keys().next().copied().unwrap();
-    assert_eq!(scene.descendants(subtree).unwrap().collect::<Vec<_>>(), model.preorder(subtree));
+    assert_eq!(scene.subtree(subtree).unwrap().collect::<Vec<_>>(), model.preorder(subtree));
 }
 
 fn objects(scene: &Scene, model: &Model) {
@@ -80,7 +80,7 @@ fn objects(scene: &Scene, model: &Model) {
 fn stale_keys(scene: &Scene, model: &Model, issued: &Issued) {
     let node = |key: &_| !model.nodes.contains_key(key) && scene.parent(*key).is_ok();
     assert_eq!(issued.nodes.iter().find(|key| node(key)), None);
-    let core = |key: &_| !model.cores.contains_key(key) && scene.core_of(*key).is_ok();
+    let core = |key: &_| !model.cores.contains_key(key) && scene.core_by_key(*key).is_ok();
     assert_eq!(issued.cores.iter().find(|key| core(key)), None);
     let geometry = |key: &_| !model.geometries.contains_key(key) && scene.geometry(*key).is_ok();
     assert_eq!(issued.geometries.iter().find(|key| geometry(key)), None);
@@ -134,24 +134,24 @@ fn bounds(found: Bounds, node: NodeKey, model: &Model) {
 
 /// The flattened arrays against the model, and against what the getters said while the arrays were out of date.
 pub(crate) fn hierarchy(scene: &mut Scene, model: &Model) {
-    let walked: HashMap<_, _> = model.nodes.keys().map(|&node| (node, scene.world(node).unwrap())).collect();
+    let walked: HashMap<_, _> = model.nodes.keys().map(|&node| (node, scene.world_from_local(node).unwrap())).collect();
     let (scene, hierarchy) = scene.with_hierarchy().unwrap();
     let mut chains: HashMap<_, _> =
         model.chains(model.chain(model.root)).into_iter().map(|chain| (Model::path(&chain), chain)).collect();
-    for (entry, &node) in hierarchy.nodes().iter().enumerate().filter(|&(entry, _)| !hierarchy.is_gap(entry)) {
+    for (entry, &node) in hierarchy.nodes().iter().enumerate().filter(|&(entry, _)| !hierarchy.is_removed(entry)) {
         let path = hierarchy.path(entry);
         let chain = chains.remove(&path).unwrap_or_else(|| panic!("the model does not have {path:?}, or once only"));
         assert!(hierarchy.entries(node).any(|e| e == entry));
-        assert_eq!(hierarchy.is_instanced(entry), chain.last().unwrap().instanced);
+        assert_eq!(hierarchy.is_instance_root(entry), chain.last().unwrap().instanced);
         let parent = hierarchy.parents()[entry];
         assert_eq!(chain.len() == 1, parent == ropewalk::Hierarchy::NO_PARENT);
         if chain.len() > 1 {
             assert_eq!(hierarchy.path(parent as usize), Model::path(&chain[..chain.len() - 1]));
         }
-        let below = hierarchy.subtree(entry).into_iter().flatten().filter(|&e| !hierarchy.is_gap(e));
+        let below = hierarchy.subtree(entry).into_iter().flatten().filter(|&e| !hierarchy.is_removed(e));
         assert_eq!(below.count(), model.chains(chain.clone()).len());
 
-        let placed = &hierarchy.placed()[entry];
+        let placed = &hierarchy.resolved()[entry];
         assert_eq!(placed.mask, chain.iter().fold(u32::MAX, |mask, step| mask & model.nodes[&step.node].mask));
         let shown = |step: &Step| model.nodes[&step.node].visible && (step.instanced || model.is_chosen(step.node));
         assert_eq!(placed.visible, chain.iter().all(shown));
@@ -165,14 +165,14 @@ pub(crate) fn hierarchy(scene: &mut Scene, model: &Model) {
             _ => None,
         });
         assert_eq!(
-            placed.world,
+            placed.world_from_local,
             locals.fold(DAffine3::IDENTITY, |world, local| world * local),
             "the same product in the same order"
         );
         if path.instances.is_empty() {
             assert_eq!(hierarchy.entry(node), Some(entry));
-            assert_eq!(placed.world, walked[&node]);
-            assert_eq!(placed.world, scene.world(node).unwrap());
+            assert_eq!(placed.world_from_local, walked[&node]);
+            assert_eq!(placed.world_from_local, scene.world_from_local(node).unwrap());
         }
     }
     assert!(chains.is_empty(), "not in the hierarchy: {chains:?}");

@@ -2,8 +2,8 @@
 
 use glam::{DAffine3, DMat3, DVec3, Vec3};
 use ropewalk::{
-    Billboard, Camera, Core, CoreKey, CoreSource, Error, Geometry, GeometryKey, Keep, Material, MaterialKey, NodeKey,
-    Object, Result, Scene, Texture, TextureKey, Transform,
+    Billboard, Camera, Core, CoreKey, CoreSource, Error, Geometry, GeometryKey, KeepTransform, Material, MaterialKey,
+    NodeKey, ObjectKey, Result, Scene, Texture, TextureKey, Transform,
 };
 
 use crate::model::{Model, ModelNode};
@@ -14,7 +14,7 @@ use crate::random::Issued;
 pub(crate) enum Edit {
     Add(NodeKey, CoreSource),
     Remove(NodeKey),
-    Reparent(NodeKey, NodeKey, Keep),
+    Reparent(NodeKey, NodeKey, KeepTransform),
     SetCore(NodeKey, CoreSource),
     SetLocal(NodeKey, Transform),
     SetName(NodeKey, String),
@@ -35,7 +35,7 @@ pub(crate) enum Edit {
 /// Why an edit must fail.
 #[derive(Debug, PartialEq)]
 enum Fault {
-    Stale(Object),
+    Stale(ObjectKey),
     Root,
     Cycle,
     WrongCore,
@@ -65,18 +65,21 @@ impl Edit {
         let fault = self.check(scene, model).err();
         let ending = self.describe(fault.as_ref());
         let before = fault.is_some().then(|| format!("{scene:?}"));
-        let worlds = model.nodes.keys().map(|&key| (key, scene.world(key).unwrap())).collect::<Vec<_>>();
+        let worlds = model.nodes.keys().map(|&key| (key, scene.world_from_local(key).unwrap())).collect::<Vec<_>>();
         let outcome = self.run_on_scene(scene);
         match (fault, outcome) {
             (None, Ok(created)) => {
                 issued.note(created);
                 self.run_on_model(scene, model, created);
                 issued.note_cores(model);
-                if let Self::Reparent(node, _, Keep::World) = self {
+                if let Self::Reparent(node, _, KeepTransform::World) = self {
                     let stays = model.preorder(node);
                     for (key, world) in worlds {
-                        let others_stay = !stays.contains(&key) && scene.world(key).unwrap() == world;
-                        assert!(others_stay || is_close(&scene.world(key).unwrap(), &world, model), "{key:?} moved");
+                        let others_stay = !stays.contains(&key) && scene.world_from_local(key).unwrap() == world;
+                        assert!(
+                            others_stay || is_close(&scene.world_from_local(key).unwrap(), &world, model),
+                            "{key:?} moved"
+                        );
                     }
                 }
             }
@@ -112,10 +115,11 @@ impl Edit {
                 node(*parent)?;
                 not(*key == model.root, Fault::Root)?;
                 not(model.shows(*key, *parent), Fault::Cycle)?;
-                if *keep == Keep::World {
+                if *keep == KeepTransform::World {
                     not(!matches!(model.core(*key), Core::Transform(_)), Fault::WrongCore)?;
                     let old_parent = model.nodes[key].parent.unwrap();
-                    let (old, new) = (scene.world(old_parent).unwrap(), scene.world(*parent).unwrap());
+                    let (old, new) =
+                        (scene.world_from_local(old_parent).unwrap(), scene.world_from_local(*parent).unwrap());
                     not(new.matrix3 == DMat3::ZERO && new != old, Fault::Singular)?;
                 }
                 Ok(())
@@ -171,7 +175,7 @@ impl Edit {
         }
     }
 
-    fn run_on_scene(&self, scene: &mut Scene) -> Result<Option<Object>> {
+    fn run_on_scene(&self, scene: &mut Scene) -> Result<Option<ObjectKey>> {
         match self.clone() {
             Self::Add(parent, source) => scene.add(parent, source).map(|key| Some(key.into())),
             Self::AddCore(core) => scene.add_core(core).map(|key| Some(key.into())),
@@ -199,14 +203,14 @@ impl Edit {
         }
     }
 
-    fn run_on_model(&self, scene: &Scene, model: &mut Model, created: Option<Object>) {
+    fn run_on_model(&self, scene: &Scene, model: &mut Model, created: Option<ObjectKey>) {
         match (self.clone(), created) {
-            (Self::Add(parent, source), Some(Object::Node(key))) => {
+            (Self::Add(parent, source), Some(ObjectKey::Node(key))) => {
                 let core = take_core(source, scene.core_key(key).unwrap(), model);
                 model.nodes.insert(key, ModelNode::new(Some(parent), core));
                 model.nodes.get_mut(&parent).unwrap().children.push(key);
             }
-            (Self::AddCore(core), Some(Object::Core(key))) => assert!(model.cores.insert(key, core).is_none()),
+            (Self::AddCore(core), Some(ObjectKey::Core(key))) => assert!(model.cores.insert(key, core).is_none()),
             (Self::Remove(key), _) => {
                 detach(key, model);
                 for key in model.preorder(key) {
@@ -222,7 +226,7 @@ impl Edit {
                     model.nodes.get_mut(&parent).unwrap().children.push(key);
                     model.nodes.get_mut(&key).unwrap().parent = Some(parent);
                 }
-                if keep == Keep::World {
+                if keep == KeepTransform::World {
                     // The number is the scene's to find: the caller checks that the world transform stays.
                     let local = Core::Transform(scene.local(key).unwrap());
                     let core = model.nodes[&key].core;
@@ -251,17 +255,17 @@ impl Edit {
             (Self::EditCore(key, core), _) => {
                 let _ = model.cores.insert(key, core);
             }
-            (Self::AddGeometry(geometry), Some(Object::Geometry(key))) | (Self::SetGeometry(key, geometry), _) => {
+            (Self::AddGeometry(geometry), Some(ObjectKey::Geometry(key))) | (Self::SetGeometry(key, geometry), _) => {
                 let _ = model.geometries.insert(key, geometry);
             }
             (Self::SetPositions(key, positions, normals), _) => {
                 let geometry = model.geometries.get_mut(&key).unwrap();
                 *geometry = deformed(geometry, &positions, normals.as_ref());
             }
-            (Self::AddMaterial(material), Some(Object::Material(key))) | (Self::SetMaterial(key, material), _) => {
+            (Self::AddMaterial(material), Some(ObjectKey::Material(key))) | (Self::SetMaterial(key, material), _) => {
                 let _ = model.materials.insert(key, material);
             }
-            (Self::AddTexture(texture), Some(Object::Texture(key))) | (Self::SetTexture(key, texture), _) => {
+            (Self::AddTexture(texture), Some(ObjectKey::Texture(key))) | (Self::SetTexture(key, texture), _) => {
                 let _ = model.textures.insert(key, texture);
             }
             (Self::RemoveUnused, _) => model.collect(true),
@@ -307,8 +311,8 @@ fn check_core(core: &Core, model: &Model) -> Result<(), Fault> {
         }
         Core::MaterialGroup(material) => not(!model.materials.contains_key(material), Fault::Stale((*material).into())),
         Core::Instance(target) => not(!model.nodes.contains_key(target), Fault::Stale((*target).into())),
-        Core::Lod(lod) => not(!lod.limits.is_sorted(), Fault::OutOfRange),
-        Core::Billboard(Billboard::Axis(axis)) => not(*axis == DVec3::ZERO, Fault::OutOfRange),
+        Core::Lod(lod) => not(!lod.thresholds.is_sorted(), Fault::OutOfRange),
+        Core::Billboard(Billboard::Cylindrical(axis)) => not(*axis == DVec3::ZERO, Fault::OutOfRange),
         Core::Transform(transform) => not(!transform.is_finite(), Fault::OutOfRange),
         Core::Light(light) => not(light.intensity.is_nan() || light.intensity < 0.0, Fault::OutOfRange),
         Core::Camera(camera) => {

@@ -4,7 +4,7 @@ use std::collections::{HashMap, HashSet};
 
 use glam::DVec3;
 use ropewalk::{
-    Change, Core, CoreKey, Geometry, GeometryKey, Material, MaterialKey, NodeKey, NodePath, Object, Scene, Texture,
+    Change, Core, CoreKey, Geometry, GeometryKey, Material, MaterialKey, NodeKey, NodePath, ObjectKey, Scene, Texture,
     TextureKey, Transform,
 };
 
@@ -27,7 +27,7 @@ pub(crate) struct Model {
     pub(crate) materials: HashMap<MaterialKey, Material>,
     pub(crate) textures: HashMap<TextureKey, Texture>,
     /// What has had a user.
-    used: HashSet<Object>,
+    used: HashSet<ObjectKey>,
 }
 
 /// One step of a way down.
@@ -153,14 +153,14 @@ impl Model {
                 Core::MaterialGroup(material) => vec![material.into()],
                 _ => vec![],
             };
-            let by_nodes = self.nodes.values().map(|node| Object::from(node.core));
+            let by_nodes = self.nodes.values().map(|node| ObjectKey::from(node.core));
             let by_cores = self.cores.values().flat_map(of_core);
             let by_materials = self.materials.values().flat_map(Material::textures).map(|t| t.texture.into());
-            let in_use: HashSet<Object> = by_nodes.chain(by_cores).chain(by_materials).collect();
+            let in_use: HashSet<ObjectKey> = by_nodes.chain(by_cores).chain(by_materials).collect();
             self.used.extend(&in_use);
 
             let used = &self.used;
-            let keep = |object: Object| in_use.contains(&object) || (!all && !used.contains(&object));
+            let keep = |object: ObjectKey| in_use.contains(&object) || (!all && !used.contains(&object));
             let count = self.count();
             self.cores.retain(|&key, _| keep(key.into()));
             self.geometries.retain(|&key, _| keep(key.into()));
@@ -177,7 +177,7 @@ impl Model {
     }
 
     /// What differs in `later`, object by object.
-    pub(crate) fn changes_to(&self, later: &Self) -> Vec<(Object, Change)> {
+    pub(crate) fn changes_to(&self, later: &Self) -> Vec<(ObjectKey, Change)> {
         let mut changes = Vec::new();
         compare_maps(&self.nodes, &later.nodes, &mut changes, |old, new| {
             let flags = [
@@ -208,10 +208,10 @@ fn data_differs<T: PartialEq>(old: &T, new: &T) -> Change {
     if old == new { Change::empty() } else { Change::DATA }
 }
 
-fn compare_maps<K: Copy + Eq + std::hash::Hash + Into<Object>, V>(
+fn compare_maps<K: Copy + Eq + std::hash::Hash + Into<ObjectKey>, V>(
     old: &HashMap<K, V>,
     new: &HashMap<K, V>,
-    changes: &mut Vec<(Object, Change)>,
+    changes: &mut Vec<(ObjectKey, Change)>,
     compare: impl Fn(&V, &V) -> Change,
 ) {
     for (&key, value) in new {

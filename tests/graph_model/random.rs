@@ -5,8 +5,8 @@ use std::f64::consts::FRAC_PI_2;
 use glam::{DAffine3, DMat3, DQuat, DVec3, Vec3, Vec4};
 use proptest::prelude::*;
 use ropewalk::{
-    Billboard, Camera, Core, CoreKey, Geometry, GeometryKey, Keep, Light, LightKind, Lod, Material, MaterialKey,
-    NodeKey, Object, Scene, Structure, Switch, Texture, TextureKey, TextureRef, Transform,
+    Billboard, BlasKind, Camera, Core, CoreKey, Geometry, GeometryKey, KeepTransform, Light, LightKind, Lod, Material,
+    MaterialKey, NodeKey, ObjectKey, Scene, Switch, Texture, TextureKey, TextureRef, Transform,
 };
 
 use crate::edit::Edit;
@@ -58,7 +58,7 @@ impl Issued {
             8 => Core::MaterialGroup(material_key(b)),
             9 | 10 => Core::Instance(node(b)),
             11 => Core::Lod(Lod::by_distance([[1.0, 2.0], [3.0, 1.0]][usize::from(value / 128)])),
-            12 => Core::Billboard(Billboard::Axis([DVec3::X, DVec3::ZERO][usize::from(value / 128)])),
+            12 => Core::Billboard(Billboard::Cylindrical([DVec3::X, DVec3::ZERO][usize::from(value / 128)])),
             _ => Core::Geometry { geometry: geometry_key(b), material: material_key(b / 3) },
         };
         let texture_ref = (value % 3 != 0).then(|| TextureRef::new(texture_key(b)));
@@ -66,8 +66,8 @@ impl Issued {
             0..=3 => Edit::Add(node(a), core().into()),
             4 | 5 => Edit::Add(node(a), core_key(b).into()),
             6 => Edit::Remove(node(a)),
-            7 | 8 => Edit::Reparent(node(a), node(b), Keep::Local),
-            9 | 10 | 31 => Edit::Reparent(node(a), node(b), Keep::World),
+            7 | 8 => Edit::Reparent(node(a), node(b), KeepTransform::Local),
+            9 | 10 | 31 => Edit::Reparent(node(a), node(b), KeepTransform::World),
             11 => Edit::SetCore(node(a), core().into()),
             12 => Edit::SetCore(node(a), core_key(b).into()),
             13 | 14 | 30 => Edit::SetLocal(node(a), transform(value)),
@@ -90,12 +90,12 @@ impl Issued {
 }
 
 impl Issued {
-    pub(crate) fn note(&mut self, created: Option<Object>) {
+    pub(crate) fn note(&mut self, created: Option<ObjectKey>) {
         match created {
-            Some(Object::Node(key)) => self.nodes.push(key),
-            Some(Object::Geometry(key)) => self.geometries.push(key),
-            Some(Object::Material(key)) => self.materials.push(key),
-            Some(Object::Texture(key)) => self.textures.push(key),
+            Some(ObjectKey::Node(key)) => self.nodes.push(key),
+            Some(ObjectKey::Geometry(key)) => self.geometries.push(key),
+            Some(ObjectKey::Material(key)) => self.materials.push(key),
+            Some(ObjectKey::Texture(key)) => self.textures.push(key),
             _ => {}
         }
     }
@@ -169,7 +169,7 @@ fn geometry(value: u8) -> Geometry {
         0 => Geometry::default(),
         1 => Geometry::new(positions, [[0, 1, 5]]),
         2 => Geometry::new([Vec3::NAN, Vec3::X, Vec3::Y], [[0, 1, 2]]),
-        3 => Geometry::new(positions, [[0, 1, 2]]).with_structure(Structure::KdTree),
+        3 => Geometry::new(positions, [[0, 1, 2]]).with_blas_kind(BlasKind::KdTree),
         _ => Geometry::new(positions, [[0, 1, 2], [0, 3, 2]]),
     }
 }

@@ -2,20 +2,20 @@
 
 use std::collections::HashMap;
 
-use ropewalk::{Change, Changes, Cursor, Object, Scene};
+use ropewalk::{Change, ChangeCursor, Changes, ObjectKey, Scene};
 
 use crate::model::Model;
 
 #[derive(Default)]
 pub(crate) struct Reader {
-    cursor: Cursor,
+    cursor: ChangeCursor,
     /// The length of the naive log, and the model, at the last read.
     last: Option<(usize, Model)>,
 }
 
 impl Reader {
     /// Reads, and compares with the naive log and with what differs between then and now.
-    pub(crate) fn read(&mut self, scene: &mut Scene, model: &Model, log: &[(Object, Change)]) {
+    pub(crate) fn read(&mut self, scene: &mut Scene, model: &Model, log: &[(ObjectKey, Change)]) {
         match (scene.changes_since(&mut self.cursor), &self.last) {
             (Changes::Everything, None) => {}
             (Changes::Since(changes), Some((start, snapshot))) => {
@@ -31,8 +31,8 @@ impl Reader {
 }
 
 /// One entry an object: those that came say no more, those that came and went say nothing.
-fn merge(log: &[(Object, Change)]) -> HashMap<Object, Change> {
-    let mut merged: HashMap<Object, Change> = HashMap::new();
+fn merge(log: &[(ObjectKey, Change)]) -> HashMap<ObjectKey, Change> {
+    let mut merged: HashMap<ObjectKey, Change> = HashMap::new();
     for &(object, change) in log {
         let before = merged.get(&object).copied().unwrap_or_default();
         if before == Change::ADDED && change == Change::REMOVED {
@@ -47,7 +47,7 @@ fn merge(log: &[(Object, Change)]) -> HashMap<Object, Change> {
 }
 
 /// All that differs was told; whatever came or went, exactly. (What changed back was told, too.)
-fn is_difference(found: &HashMap<Object, Change>, expected: &[(Object, Change)]) {
+fn is_difference(found: &HashMap<ObjectKey, Change>, expected: &[(ObjectKey, Change)]) {
     let ends = Change::ADDED | Change::REMOVED;
     assert!(expected.iter().all(|(object, change)| found.get(object).is_some_and(|found| found.contains(*change))));
     let count = |changes: &mut dyn Iterator<Item = Change>| changes.filter(|change| change.intersects(ends)).count();

@@ -1,10 +1,10 @@
 //! Device arrays of meshes under transforms.
 
 use glam::{DAffine3, DMat3, Vec3};
-use ropewalk::accel::{Blas, BuildParams};
+use ropewalk::accel::{Blas, BlasBuildParams};
 use ropewalk::device::DeviceArrays;
 use ropewalk::device::layout::{
-    Instance, InstanceFlags, Material, NONE, Node, PrimitiveRange, Streams, Triangle, WideNode,
+    GeometryRecord, InstanceFlags, InstanceRecord, MaterialRecord, NONE, Node, PrimitiveRange, Triangle, WideNode,
 };
 use ropewalk::graph::Geometry;
 use ropewalk::math::Aabb;
@@ -52,7 +52,7 @@ pub fn arrays_by(builder: Builder, meshes: &[Mesh], placed: &[Placed]) -> Device
     let (mut starts, mut streams) = (Vec::new(), Vec::new());
     for mesh in meshes {
         starts.push((nodes.len() as u32, triangles.len() as u32));
-        streams.push(Streams { first_wide_node: wide_nodes.len() as u32, ..NO_STREAMS });
+        streams.push(GeometryRecord { first_wide_node: wide_nodes.len() as u32, ..NO_STREAMS });
         let blas = match builder {
             Builder::Median => median_blas(mesh),
             Builder::Product => product_blas(mesh),
@@ -61,11 +61,11 @@ pub fn arrays_by(builder: Builder, meshes: &[Mesh], placed: &[Placed]) -> Device
         wide_nodes.extend(blas.wide_nodes);
         triangles.extend(blas.triangles);
     }
-    let instances: Vec<Instance> = placed.iter().map(|p| instance(p, starts[p.mesh])).collect();
+    let instances: Vec<InstanceRecord> = placed.iter().map(|p| instance(p, starts[p.mesh])).collect();
     let boxes: Vec<Aabb> = placed.iter().map(|p| world_box(&meshes[p.mesh], &p.world_from_local)).collect();
     let (order, mut tlas) = hierarchy(&boxes, 1);
     for node in tlas.iter_mut().filter(|n| n.primitives != PrimitiveRange::INNER) {
-        node.primitives = PrimitiveRange::leaf(order[node.primitives.first() as usize], 1);
+        node.primitives = PrimitiveRange::leaf(order[node.primitives.first_primitive() as usize], 1);
     }
     arrays.tlas_nodes.replace(&tlas);
     arrays.instances.replace(&instances);
@@ -78,7 +78,7 @@ pub fn arrays_by(builder: Builder, meshes: &[Mesh], placed: &[Placed]) -> Device
 }
 
 /// A geometry that has nothing but its triangles.
-const NO_STREAMS: Streams = Streams {
+const NO_STREAMS: GeometryRecord = GeometryRecord {
     first_index: NONE,
     first_normal: NONE,
     first_tex_coord_0: NONE,
@@ -96,8 +96,8 @@ struct Parts {
 }
 
 /// Matt, opaque, without textures.
-fn gray() -> Material {
-    Material {
+fn gray() -> MaterialRecord {
+    MaterialRecord {
         base_color: [0.5, 0.5, 0.5, 1.0],
         emissive: [0.0; 3],
         metallic: 0.0,
@@ -125,7 +125,7 @@ fn median_blas(mesh: &Mesh) -> Parts {
 
 fn product_blas(mesh: &Mesh) -> Parts {
     let geometry = Geometry::new(mesh.positions.clone(), mesh.indices.clone());
-    let blas = Blas::build(&geometry, &BuildParams::default()).unwrap();
+    let blas = Blas::build(&geometry, &BlasBuildParams::default()).unwrap();
     Parts { nodes: blas.nodes, wide_nodes: blas.wide_nodes, triangles: blas.triangles }
 }
 
@@ -133,8 +133,8 @@ fn triangle(primitive: u32, [v0, v1, v2]: [Vec3; 3]) -> Triangle {
     Triangle { v0: v0.to_array(), primitive, v1: v1.to_array(), _pad0: 0, v2: v2.to_array(), _pad1: 0 }
 }
 
-fn instance(placed: &Placed, (first_node, first_triangle): (u32, u32)) -> Instance {
-    Instance {
+fn instance(placed: &Placed, (first_node, first_triangle): (u32, u32)) -> InstanceRecord {
+    InstanceRecord {
         local_from_world: rows(&placed.world_from_local.inverse()),
         world_from_local: rows(&placed.world_from_local),
         first_node,
@@ -143,7 +143,7 @@ fn instance(placed: &Placed, (first_node, first_triangle): (u32, u32)) -> Instan
         material: 0,
         mask: placed.mask,
         flags: placed.flags.bits(),
-        node: [3, 1],
+        node_key: [3, 1],
     }
 }
 

@@ -15,24 +15,24 @@ pub use arrays::{Builder, Placed, arrays, arrays_by};
 pub use mesh::Mesh;
 pub use random::Random;
 
-use ropewalk::trace::{Cpu, Emulated, Layout, Recursive, Tracer};
+use ropewalk::trace::{Cpu, Emulated, Recursive, Tracer, Traversal};
 
 /// Every executor by every layout; the GPU where there is one.
 pub fn tracers() -> Vec<Box<dyn Tracer>> {
     let mut tracers: Vec<Box<dyn Tracer>> = vec![Box::new(Cpu::default()), Box::new(Recursive::default())];
-    for layout in [Layout::Rope, Layout::Wide] {
-        tracers.push(Box::new(Emulated::default().with_layout(layout)));
+    for layout in [Traversal::Rope, Traversal::Wide] {
+        tracers.push(Box::new(Emulated::default().with_traversal(layout)));
         tracers.extend(on_gpu(layout));
     }
     tracers
 }
 
 #[cfg(feature = "gpu")]
-fn on_gpu(layout: Layout) -> Option<Box<dyn Tracer>> {
+fn on_gpu(layout: Traversal) -> Option<Box<dyn Tracer>> {
     Some(Box::new(gpu::tracer()?.with_layout(layout)))
 }
 
 #[cfg(not(feature = "gpu"))]
-fn on_gpu(_: Layout) -> Option<Box<dyn Tracer>> {
+fn on_gpu(_: Traversal) -> Option<Box<dyn Tracer>> {
     None
 }

@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec3};
 use ropewalk::device::DeviceArrays;
-use ropewalk::device::layout::{Hit, Instance, InstanceFlags, NONE, Ray, Triangle};
+use ropewalk::device::layout::{HitRecord, InstanceFlags, InstanceRecord, NONE, RayRecord, Triangle};
 
 /// The relative error of one operation: WGSL lets each round either way.
 const ROUNDING: f64 = 1.0 / (1 << 23) as f64;
@@ -54,7 +54,7 @@ struct LocalRay {
 }
 
 /// All triangles that the ray meets or may meet, from `t_min` to `t_max`, each with its share of error.
-pub fn candidates(arrays: &DeviceArrays, ray: &Ray, ray_mask: u32) -> Vec<Candidate> {
+pub fn candidates(arrays: &DeviceArrays, ray: &RayRecord, ray_mask: u32) -> Vec<Candidate> {
     let mut found = Vec::new();
     for (index, instance) in (0..).zip(arrays.instances.iter()) {
         if instance.mask & ray_mask == 0 {
@@ -74,14 +74,14 @@ pub fn candidates(arrays: &DeviceArrays, ray: &Ray, ray_mask: u32) -> Vec<Candid
 }
 
 /// Whether the ray meets the candidate within its interval, whatever is rounded.
-pub fn is_sure(candidate: &Candidate, ray: &Ray) -> bool {
+pub fn is_sure(candidate: &Candidate, ray: &RayRecord) -> bool {
     candidate.verdict == Verdict::Hit
         && candidate.t - candidate.t_error >= f64::from(ray.t_min)
         && candidate.t + candidate.t_error <= f64::from(ray.t_max)
 }
 
 /// Compares the kernel's hit with the candidates of its ray.
-pub fn fault(ray: &Ray, hit: &Hit, candidates: &[Candidate]) -> Option<Fault> {
+pub fn fault(ray: &RayRecord, hit: &HitRecord, candidates: &[Candidate]) -> Option<Fault> {
     let nearest = candidates.iter().filter(|c| is_sure(c, ray)).map(|c| c.t + c.t_error).min_by(f64::total_cmp);
     if hit.instance == NONE {
         return nearest.map(|_| Fault::FalseMiss);
@@ -94,14 +94,14 @@ pub fn fault(ray: &Ray, hit: &Hit, candidates: &[Candidate]) -> Option<Fault> {
     nearest.is_some_and(|t| t < own.t - own.t_error).then_some(Fault::WrongTriangle)
 }
 
-fn triangles_of<'a>(arrays: &'a DeviceArrays, instance: &Instance) -> &'a [Triangle] {
+fn triangles_of<'a>(arrays: &'a DeviceArrays, instance: &InstanceRecord) -> &'a [Triangle] {
     let starts = arrays.instances.iter().map(|i| i.first_triangle).filter(|&t| t > instance.first_triangle);
     let end = starts.min().map_or(arrays.triangles.len(), |t| t as usize);
     &arrays.triangles[instance.first_triangle as usize..end]
 }
 
 impl LocalRay {
-    fn new(instance: &Instance, ray: &Ray) -> Self {
+    fn new(instance: &InstanceRecord, ray: &RayRecord) -> Self {
         let rows = instance.local_from_world.map(|r| r.map(f64::from));
         let linear = DMat3::from_cols_array_2d(&rows.map(|[x, y, z, _]| [x, y, z])).transpose();
         let translation = DVec3::from_array(rows.map(|r| r[3]));
@@ -175,7 +175,7 @@ impl LocalRay {
 }
 
 /// glTF: counter-clockwise is the front, clockwise under a transform that mirrors.
-fn is_back_facing_in_world(instance: &Instance, triangle: &Triangle, ray: &Ray) -> bool {
+fn is_back_facing_in_world(instance: &InstanceRecord, triangle: &Triangle, ray: &RayRecord) -> bool {
     let rows = instance.world_from_local.map(|r| r.map(f64::from));
     let linear = DMat3::from_cols_array_2d(&rows.map(|[x, y, z, _]| [x, y, z])).transpose();
     let [a, b, c] = [triangle.v0, triangle.v1, triangle.v2].map(|v| linear * vector(v));

@@ -65,9 +65,9 @@ fn every_device_hits_what_exact_queries_hit() {
         let rays = rays(center, size, RAYS);
         for mut renderer in renderers() {
             for mask in [u32::MAX, 2] {
-                let device = renderer.device().executor;
-                let queries = renderer.queries(&mut scene).unwrap().with_mask(mask);
-                let expected: Vec<_> = rays.iter().map(|ray| queries.closest(ray).unwrap()).collect();
+                let device = renderer.device_info().executor;
+                let queries = renderer.queries(&mut scene).unwrap().with_ray_mask(mask);
+                let expected: Vec<_> = rays.iter().map(|ray| queries.closest_hit(ray).unwrap()).collect();
                 let hits = renderer.closest_hits(&mut scene, &rays, mask).unwrap();
                 assert_eq!(hits.len(), RAYS);
                 let (mut differ, mut compared) = (0, 0);
@@ -101,11 +101,11 @@ fn any_hits_are_what_stops_light() {
     let mut scene = scene(DVec3::ZERO, 1.0);
     let rays = rays(DVec3::ZERO, 1.0, 2000);
     for mut renderer in renderers() {
-        let device = renderer.device().executor;
+        let device = renderer.device_info().executor;
         let found = renderer.any_hits(&mut scene, &rays, u32::MAX).unwrap();
         let queries = renderer.queries(&mut scene).unwrap();
         // Everything is opaque and both-sided: the same question.
-        let expected: Vec<bool> = rays.iter().map(|ray| queries.any(ray).unwrap()).collect();
+        let expected: Vec<bool> = rays.iter().map(|ray| queries.any_hit(ray).unwrap()).collect();
         assert_eq!(found.len(), expected.len());
         let stopped = expected.iter().filter(|&&any| any).count();
         let differ = found.iter().zip(&expected).filter(|(a, b)| a != b).count();

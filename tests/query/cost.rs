@@ -46,19 +46,19 @@ fn costs(scene: &mut Scene) -> Vec<(&'static str, u64)> {
     let view = View::look_at(bounds.max * 1.5, bounds.center(), DVec3::Y, Camera::default(), 1000, 1000);
     let mut hits = 0;
     let costs = vec![
-        ("closest", cost(&queries, |q, r| hits += usize::from(q.closest(&ray(r)).unwrap().is_some()))),
-        ("any", cost(&queries, |q, r| hits += usize::from(q.any(&ray(r)).unwrap()))),
-        ("all", cost(&queries, |q, r| hits += q.all(&ray(r)).unwrap().len())),
+        ("closest", cost(&queries, |q, r| hits += usize::from(q.closest_hit(&ray(r)).unwrap().is_some()))),
+        ("any", cost(&queries, |q, r| hits += usize::from(q.any_hit(&ray(r)).unwrap()))),
+        ("all", cost(&queries, |q, r| hits += q.all_hits(&ray(r)).unwrap().len())),
         ("nearest", cost(&queries, |q, r| hits += usize::from(q.nearest(point(r), f64::INFINITY).unwrap().is_some()))),
-        ("containing", cost(&queries, |q, r| hits += q.containing(point(r)).unwrap().len())),
-        ("enclosing", cost(&queries, |q, r| hits += q.enclosing(point(r)).unwrap().len())),
+        ("containing", cost(&queries, |q, r| hits += q.boxes_containing(point(r)).unwrap().len())),
+        ("enclosing", cost(&queries, |q, r| hits += q.solids_containing(point(r)).unwrap().len())),
         ("box, touching", cost(&queries, |q, r| hits += q.overlapping(&around(r, 1.0), Overlap::Touching).len())),
         ("box, inside", cost(&queries, |q, r| hits += q.overlapping(&around(r, 1.0), Overlap::Inside).len())),
         (
             "rubber band",
             cost(&queries, |q, r| {
                 let [x, y] = [0, 1].map(|_| r.index(950) as u32);
-                let region = view.frustum_of(x..x + 50, y..y + 50).unwrap();
+                let region = view.pixel_frustum(x..x + 50, y..y + 50).unwrap();
                 hits += q.overlapping(&region, Overlap::Touching).len();
             }),
         ),

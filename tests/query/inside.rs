@@ -18,10 +18,10 @@ fn boxes_contain_what_is_in_them() {
         let mask = dice.mask();
         let (mut compiler, origin) = compiled(&mut scene);
         let drawn = drawn(&mut scene, origin, mask);
-        let queries = Queries::new(&mut compiler, &mut scene).unwrap().with_mask(mask);
+        let queries = Queries::new(&mut compiler, &mut scene).unwrap().with_ray_mask(mask);
         for _ in 0..20 {
             let point = dice.point();
-            let found = queries.containing(point).unwrap();
+            let found = queries.boxes_containing(point).unwrap();
             prop_assert!(found.iter().all(|path| drawn.iter().any(|drawn| drawn.path == *path)));
             for drawn in drawn.iter().filter(|drawn| !drawn.triangles.is_empty()) {
                 let is_found = found.contains(&drawn.path);
@@ -76,7 +76,12 @@ fn solids_enclose_what_is_in_them() {
                     continue;
                 }
                 let is_inside = greatest < 0.0;
-                prop_assert_eq!(queries.enclosing(point).unwrap().len(), usize::from(is_inside), "{} out", greatest);
+                prop_assert_eq!(
+                    queries.solids_containing(point).unwrap().len(),
+                    usize::from(is_inside),
+                    "{} out",
+                    greatest
+                );
                 let counter = if is_inside { &inside } else { &outside };
                 counter.set(counter.get() + 1);
             }
@@ -99,6 +104,6 @@ fn a_lattice_of_points_is_told_apart() {
     for i in 0..9 * 9 * 9 {
         let point = DVec3::new(f64::from(i % 9), f64::from(i / 9 % 9), f64::from(i / 81)) / 4.0 - 1.125;
         let is_inside = point.abs().max_element() < 1.0;
-        assert_eq!(queries.enclosing(point).unwrap().len(), usize::from(is_inside), "{point}");
+        assert_eq!(queries.solids_containing(point).unwrap().len(), usize::from(is_inside), "{point}");
     }
 }

@@ -40,7 +40,7 @@ fn nearest_points_agree_with_brute_force() {
         let mask = dice.mask();
         let (mut compiler, origin) = compiled(&mut scene);
         let drawn = drawn(&mut scene, origin, mask);
-        let queries = Queries::new(&mut compiler, &mut scene).unwrap().with_mask(mask);
+        let queries = Queries::new(&mut compiler, &mut scene).unwrap().with_ray_mask(mask);
         for _ in 0..20 {
             let point = dice.point();
             let all = drawn.iter().flat_map(|drawn| (0..drawn.triangles.len()).map(|i| drawn.world_triangle(i)));
@@ -62,7 +62,7 @@ fn nearest_points_agree_with_brute_force() {
             prop_assert!(weights.min_element() >= 0.0 && (weights.element_sum() - 1.0).abs() < 1e-12);
             prop_assert!(position.distance(hit.position) <= band);
             let above = hit.geometric_normal.dot(point - hit.position);
-            prop_assert!(above.abs() <= 1e-3 * least + band || hit.back == (above < 0.0), "{above} above");
+            prop_assert!(above.abs() <= 1e-3 * least + band || hit.back_face == (above < 0.0), "{above} above");
 
             // The limit is the greatest distance that counts.
             prop_assert_eq!(queries.nearest(point, hit.distance).unwrap(), Some(hit.clone()));

@@ -43,7 +43,7 @@ fn scene(center: DVec3) -> Scene {
 }
 
 fn views(center: DVec3) -> [View; 2] {
-    let cameras = [Camera::perspective(0.9), Camera::orthographic(5.0, 4.0).shifted(Vec2::new(0.3, -0.2))];
+    let cameras = [Camera::perspective(0.9), Camera::orthographic(5.0, 4.0).with_lens_shift(Vec2::new(0.3, -0.2))];
     cameras.map(|camera| View {
         aovs: true,
         ray_mask: 3,
@@ -61,7 +61,7 @@ fn check(renderer: &mut Renderer, center: DVec3) {
             let hit = renderer.pick(&mut scene, &view, [x, y]).unwrap();
             let seen = hit.as_ref().map(|hit| (hit.path.node, hit.triangle));
             let expected = (aovs.triangle[i] != u32::MAX).then_some((aovs.node[i], aovs.triangle[i]));
-            assert_eq!(seen, expected, "at {x}, {y} on {}", renderer.device().executor);
+            assert_eq!(seen, expected, "at {x}, {y} on {}", renderer.device_info().executor);
             let Some(hit) = hit else { continue };
             hits += 1;
             assert_eq!(hit.distance as f32, aovs.depth[i]);
@@ -150,7 +150,7 @@ fn queries_see_the_levels_that_were_drawn() {
         let picked = renderer.pick(&mut scene, &view, [16, 16]).unwrap().unwrap();
         let frame = renderer.render(&mut scene, &View { aovs: true, ..view }).unwrap();
         let drawn = frame.image().unwrap().aovs.unwrap().node[16 * 33 + 16];
-        let found = renderer.queries(&mut scene).unwrap().closest(&ray).unwrap().unwrap();
+        let found = renderer.queries(&mut scene).unwrap().closest_hit(&ray).unwrap().unwrap();
         assert_eq!([picked.path.node, drawn, found.path.node], [level; 3]);
     }
 }
@@ -162,10 +162,10 @@ fn a_rubber_band_selects_what_is_seen_through_it() {
     let mut renderer = renderer(DeviceChoice::Cpu);
     for view in views(DVec3::ZERO) {
         let aovs = renderer.render(&mut scene, &view).unwrap().image().unwrap().aovs.unwrap();
-        let queries = renderer.queries(&mut scene).unwrap().with_mask(view.ray_mask);
+        let queries = renderer.queries(&mut scene).unwrap().with_ray_mask(view.ray_mask);
         let mut selected = 0;
         for (columns, rows) in [(0..64, 0..48), (10..30, 5..20), (40..41, 30..31), (0..5, 0..48)] {
-            let region = view.frustum_of(columns.clone(), rows.clone()).unwrap();
+            let region = view.pixel_frustum(columns.clone(), rows.clone()).unwrap();
             let found: BTreeSet<_> =
                 queries.overlapping(&region, Overlap::Touching).into_iter().map(|p| p.node).collect();
             let pixels = rows.flat_map(|y| columns.clone().map(move |x| (y * 64 + x) as usize));
@@ -187,7 +187,7 @@ fn check_cubes(queries: &Queries<'_>, cubes: &[Cube]) {
     let everywhere = Region::new([]).unwrap();
     assert_eq!(queries.overlapping(&everywhere, Overlap::Touching).len(), cubes.len());
     let along = Ray { t_min: f64::NEG_INFINITY, ..Ray::new(DVec3::new(0.0, 0.1, 0.2), DVec3::X) };
-    assert_eq!(queries.all(&along).unwrap().len(), 2 * cubes.len());
+    assert_eq!(queries.all_hits(&along).unwrap().len(), 2 * cubes.len());
     assert_eq!(queries.bounds().is_empty(), cubes.is_empty());
 }
 

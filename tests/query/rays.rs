@@ -64,7 +64,7 @@ fn check_hit(hit: &Hit, ray: &Ray, drawn: &[Drawn], truth: &[Candidate], origin:
     if own.is_sure {
         let height = normal.dot(ray.direction.normalize());
         prop_assert!(hit.geometric_normal.dot(normal) > 1.0 - 1e-6, "{} is not {normal}", hit.geometric_normal);
-        prop_assert!(height.abs() < 1e-6 || hit.back == (height > 0.0));
+        prop_assert!(height.abs() < 1e-6 || hit.back_face == (height > 0.0));
         prop_assert_eq!(hit.shading_normal, hit.geometric_normal);
     }
     Ok(())
@@ -78,11 +78,11 @@ fn rays_agree_with_brute_force() {
         let mask = dice.mask();
         let (mut compiler, origin) = compiled(&mut scene);
         let drawn = drawn(&mut scene, origin, mask);
-        let queries = Queries::new(&mut compiler, &mut scene).unwrap().with_mask(mask);
+        let queries = Queries::new(&mut compiler, &mut scene).unwrap().with_ray_mask(mask);
         for _ in 0..40 {
             let ray = ray(&mut dice, &drawn, origin);
             let truth = candidates(&drawn, origin, &ray);
-            let all = queries.all(&ray).unwrap();
+            let all = queries.all_hits(&ray).unwrap();
             for hit in &all {
                 check_hit(hit, &ray, &drawn, &truth, origin)?;
             }
@@ -91,9 +91,9 @@ fn rays_agree_with_brute_force() {
                 let count = all.iter().filter(|hit| is_of(hit, candidate)).count();
                 prop_assert_eq!(count, 1, "{:?}", candidate);
             }
-            let closest = queries.closest(&ray).unwrap();
+            let closest = queries.closest_hit(&ray).unwrap();
             prop_assert_eq!(closest.as_ref(), all.first());
-            prop_assert_eq!(queries.any(&ray).unwrap(), closest.is_some());
+            prop_assert_eq!(queries.any_hit(&ray).unwrap(), closest.is_some());
             hits.set(hits.get() + all.len());
             // What rounds to almost flat has nothing but ties.
             let flat = |path: &NodePath| drawn.iter().any(|drawn| drawn.path == *path && drawn.condition() > 1e7);
@@ -119,10 +119,10 @@ fn a_convex_surface_is_crossed_twice_or_not_at_all() {
                 let [a, b, c] = drawn.world_triangle(i).map(|corner| corner + origin);
                 for target in [a, (a + b) * 0.5, (a + b + c) / 3.0] {
                     let from = dice.center + dice.random.direction().as_dvec3() * 100.0 * seed.unit;
-                    let all = queries.all(&Ray::new(from, target - from)).unwrap();
+                    let all = queries.all_hits(&Ray::new(from, target - from)).unwrap();
                     match &*all {
                         [] => missed.set(missed.get() + 1),
-                        [first, second] if first.back != second.back => crossed.set(crossed.get() + 1),
+                        [first, second] if first.back_face != second.back_face => crossed.set(crossed.get() + 1),
                         _ => prop_assert!(false, "{:?}", all),
                     }
                 }
@@ -155,8 +155,8 @@ fn holes_and_back_faces_are_passed_by_as_a_camera_does() {
     let queries = Queries::new(&mut compiler, &mut scene).unwrap();
     for (x, z, expected) in [(0.3, 1.0, 0), (0.7, 1.0, 1), (0.3, -1.0, 0), (0.7, -1.0, 0)] {
         let ray = Ray::new(DVec3::new(x, 0.4, z), DVec3::Z * -z);
-        assert_eq!(queries.all(&ray).unwrap().len(), expected, "{x}, {z}");
-        assert_eq!(queries.any(&ray).unwrap(), expected > 0);
+        assert_eq!(queries.all_hits(&ray).unwrap().len(), expected, "{x}, {z}");
+        assert_eq!(queries.any_hit(&ray).unwrap(), expected > 0);
     }
     // Regions and points see the geometry.
     assert_eq!(queries.nearest(DVec3::new(0.1, 0.5, -2.0), 3.0).unwrap().unwrap().distance, 2.0);
@@ -171,10 +171,10 @@ fn shading_normals_lie_between_those_of_the_vertices() {
     let queries = Queries::new(&mut compiler, &mut scene).unwrap();
     for x in [0.1, 0.5, 0.8] {
         for z in [1.0, -1.0] {
-            let hit = queries.closest(&Ray::new(DVec3::new(x, 0.3, z), DVec3::Z * -z)).unwrap().unwrap();
+            let hit = queries.closest_hit(&Ray::new(DVec3::new(x, 0.3, z), DVec3::Z * -z)).unwrap().unwrap();
             let expected = DVec3::new(x - 0.5, 0.0, 1.0).normalize();
             assert!(hit.shading_normal.distance(expected) < 1e-6, "{}", hit.shading_normal);
-            assert_eq!((hit.geometric_normal, hit.back), (DVec3::Z, z < 0.0));
+            assert_eq!((hit.geometric_normal, hit.back_face), (DVec3::Z, z < 0.0));
         }
     }
 }
@@ -190,6 +190,6 @@ fn equal_distances_are_ordered() {
     let queries = Queries::new(&mut compiler, &mut scene).unwrap();
     let nodes: Vec<_> = queries.scene().children(queries.scene().root()).unwrap().collect();
     // Along the diagonal, which both triangles of a square share.
-    let all = queries.all(&Ray::new(DVec3::new(0.5, 0.5, 1.0), DVec3::NEG_Z)).unwrap();
+    let all = queries.all_hits(&Ray::new(DVec3::new(0.5, 0.5, 1.0), DVec3::NEG_Z)).unwrap();
     assert_eq!(all.iter().map(|hit| hit.path.node).collect::<Vec<_>>(), nodes);
 }

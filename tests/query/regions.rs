@@ -79,9 +79,9 @@ fn region(dice: &mut Dice, origin: DVec3) -> (Region, Body) {
         0 => Camera::perspective(0.3 + random.unsigned()),
         _ => Camera::orthographic(unit as f32 * 3.0, unit as f32 * 2.0),
     };
-    let view = View::look_at(a, b, random.direction().as_dvec3(), camera.shifted(shift), 40, 30);
+    let view = View::look_at(a, b, random.direction().as_dvec3(), camera.with_lens_shift(shift), 40, 30);
     let [columns, rows] = [pixels(random, 40), pixels(random, 30)];
-    let region = view.frustum_of(columns.clone(), rows.clone()).unwrap();
+    let region = view.pixel_frustum(columns.clone(), rows.clone()).unwrap();
 
     // The corners as the documentation of the camera has it: the whole field at distance 1, then the part of it.
     let axes = view.world_from_view.matrix3;
@@ -124,7 +124,7 @@ fn regions_agree_with_separating_axes() {
         let mask = dice.mask();
         let (mut compiler, origin) = compiled(&mut scene);
         let drawn = drawn(&mut scene, origin, mask);
-        let queries = Queries::new(&mut compiler, &mut scene).unwrap().with_mask(mask);
+        let queries = Queries::new(&mut compiler, &mut scene).unwrap().with_ray_mask(mask);
         for _ in 0..20 {
             let (region, body) = region(&mut dice, origin);
             let found = set(queries.overlapping(&region, Overlap::Touching));

@@ -6,7 +6,7 @@ use proptest::test_runner::TestRunner;
 use ropewalk::compile::Compiler;
 use ropewalk::graph::AlphaMode;
 use ropewalk::{
-    Core, Geometry, GeometryKey, Hierarchy, Material, MaterialKey, NodePath, Quality, Scene, Structure, Transform,
+    BlasKind, Core, Geometry, GeometryKey, Hierarchy, Material, MaterialKey, NodePath, Quality, Scene, Transform,
 };
 
 use crate::kernel_support::{Mesh, Random};
@@ -40,12 +40,8 @@ fn seed() -> impl Strategy<Value = Seed> {
 }
 
 /// Some have a triangle in several leaves.
-const STRUCTURES: [Structure; 4] = [
-    Structure::Bvh(Quality::Fast),
-    Structure::Bvh(Quality::Balanced),
-    Structure::Bvh(Quality::Best),
-    Structure::KdTree,
-];
+const STRUCTURES: [BlasKind; 4] =
+    [BlasKind::Bvh(Quality::Low), BlasKind::Bvh(Quality::Medium), BlasKind::Bvh(Quality::High), BlasKind::KdTree];
 
 /// A scene, and what to ask it with.
 pub struct World {
@@ -72,7 +68,7 @@ impl World {
             Mesh { positions: Vec::new(), indices: Vec::new() },
         ];
         let mut add = |mesh: Mesh| {
-            let geometry = Geometry::new(mesh.positions, mesh.indices).with_structure(STRUCTURES[random.index(4)]);
+            let geometry = Geometry::new(mesh.positions, mesh.indices).with_blas_kind(STRUCTURES[random.index(4)]);
             scene.add_geometry(geometry).unwrap()
         };
         let geometries = geometries.map(&mut add);
@@ -137,7 +133,7 @@ impl Dice {
 /// A compiler that has caught up with the scene, and the render origin.
 pub fn compiled(scene: &mut Scene) -> (Compiler, DVec3) {
     let mut compiler = Compiler::new();
-    compiler.catch_up(scene).unwrap();
+    compiler.compile_from_last_viewpoint(scene).unwrap();
     let origin = compiler.origin();
     (compiler, origin)
 }
@@ -200,9 +196,9 @@ pub fn drawn(scene: &mut Scene, origin: DVec3, mask: u32) -> Vec<Drawn> {
 fn draw(scene: &Scene, hierarchy: &Hierarchy, entry: usize, origin: DVec3, mask: u32) -> Option<Drawn> {
     let path = hierarchy.path(entry);
     let Ok(&Core::Geometry { geometry, material }) = scene.core(path.node) else { return None };
-    let placed = hierarchy.placed()[entry];
+    let placed = hierarchy.resolved()[entry];
     let material = placed.material.unwrap_or(material);
-    let mut relative = placed.world;
+    let mut relative = placed.world_from_local;
     relative.translation -= origin;
     if !placed.visible || placed.mask & mask == 0 || relative.matrix3.determinant() == 0.0 {
         return None;

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use glam::{Affine2, DAffine3, DQuat, DVec3, Vec2, Vec3, Vec4};
 use ropewalk::image::Image;
 use ropewalk::{
-    AlphaMode, Camera, DeviceChoice, Filter, LightKind, Material, Renderer, RendererOptions, Sampler, Scene, Texture,
-    TextureRef, View, Wrap,
+    AlphaMode, Camera, DeviceChoice, FilterMode, LightKind, Material, Renderer, RendererOptions, Sampler, Scene,
+    Texture, TextureRef, View, WrapMode,
 };
 
 use super::scenes::{at, cube, put, put_light, sphere, square};
@@ -22,7 +22,7 @@ fn scene() -> Scene {
         transform: Affine2::from_scale_angle_translation(Vec2::new(2.3, 1.7), 0.4, Vec2::new(-0.6, -0.3)),
         ..TextureRef::new(texture)
     };
-    let repeat = wrapped(Wrap::Repeat, Wrap::Mirror, Filter::Linear);
+    let repeat = wrapped(WrapMode::Repeat, WrapMode::Mirror, FilterMode::Linear);
     let floor =
         DAffine3::from_rotation_translation(DQuat::from_rotation_x(-std::f64::consts::FRAC_PI_2), DVec3::Y * -1.0);
     put(
@@ -44,7 +44,7 @@ fn scene() -> Scene {
         at(-2.2, 0.0, -0.5),
     );
     let bent = Material {
-        normal_texture: Some(wrapped(Wrap::Clamp, Wrap::Repeat, Filter::Nearest)),
+        normal_texture: Some(wrapped(WrapMode::Clamp, WrapMode::Repeat, FilterMode::Nearest)),
         metallic_roughness_texture: Some(repeat),
         ..Material::default()
     };
@@ -62,7 +62,7 @@ fn scene() -> Scene {
     );
     let holes = Material {
         alpha_mode: AlphaMode::Mask { cutoff: 0.5 },
-        base_color_texture: Some(wrapped(Wrap::Mirror, Wrap::Clamp, Filter::Linear)),
+        base_color_texture: Some(wrapped(WrapMode::Mirror, WrapMode::Clamp, FilterMode::Linear)),
         double_sided: false,
         ..Material::default()
     };
@@ -121,7 +121,7 @@ fn emulated_and_cpu_draw_the_same_bits() {
 #[test]
 fn the_gpu_draws_the_same_picture() {
     let Some(renderer) = super::support::usable(open(DeviceChoice::Gpu)) else { return };
-    let name = renderer.device().name.clone();
+    let name = renderer.device_info().name.clone();
     let (a, b) = (draw(open(DeviceChoice::Cpu).unwrap()), draw(renderer));
     let (count, most) = differences(&a, &b);
     eprintln!("{name}: {count} of {} pixels differ, by at most {most:e}", a.color.len());

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use glam::{Affine2, DAffine3, DVec3, Vec2, Vec3};
-use ropewalk::{Filter, Geometry, LightKind, Material, Sampler, Scene, Texture, TextureRef};
+use ropewalk::{FilterMode, Geometry, LightKind, Material, Sampler, Scene, Texture, TextureRef};
 
 use super::scenes::{black, front, middle, put, put_light, render, square};
 
@@ -11,7 +11,7 @@ use super::scenes::{black, front, middle, put, put_light, render, square};
 fn four_colors(scene: &mut Scene) -> TextureRef {
     let texels = Arc::new([[255, 0, 0, 255], [0, 255, 0, 255], [0, 0, 255, 255], [255, 255, 255, 255]]);
     let texture = scene.add_texture(Texture { width: 2, height: 2, texels }).unwrap();
-    let sampler = Sampler { filter: Filter::Nearest, ..Sampler::default() };
+    let sampler = Sampler { filter: FilterMode::Nearest, ..Sampler::default() };
     TextureRef { sampler, ..TextureRef::new(texture) }
 }
 

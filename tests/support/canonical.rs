@@ -5,7 +5,8 @@ use std::collections::{HashMap, HashSet};
 use glam::{BVec3, DVec3, Vec3, Vec4};
 use ropewalk::device::DeviceArrays;
 use ropewalk::device::layout::{
-    Instance, InstanceFlags, Light, Material, NONE, Node, Streams, TextureInfo, Triangle, WideNode,
+    GeometryRecord, InstanceFlags, InstanceRecord, LightRecord, MaterialRecord, NONE, Node, TextureInfo, Triangle,
+    WideNode,
 };
 
 /// Everything that a kernel can reach in some arrays, with places replaced by contents. Compares bit by bit.
@@ -47,15 +48,15 @@ impl Canonical {
     }
 
     fn new(arrays: &DeviceArrays, exact: bool) -> Self {
-        let leaves = arrays.tlas_nodes.iter().filter(|node| node.primitives.count() > 0);
+        let leaves = arrays.tlas_nodes.iter().filter(|node| node.primitives.primitive_count() > 0);
         let mut instances: Vec<CanonicalInstance> = leaves
             .filter_map(|leaf| {
-                let record = arrays.instances.get(leaf.primitives.first() as usize)?;
+                let record = arrays.instances.get(leaf.primitives.first_primitive() as usize)?;
                 Some(canonical_instance(arrays, record, leaf, exact))
             })
             .collect();
         instances.sort();
-        let lights: &[Light] = &arrays.lights;
+        let lights: &[LightRecord] = &arrays.lights;
         let mut lights: Vec<Vec<u8>> = lights.iter().map(|light| bytes(&[*light])).collect();
         lights.sort();
         Self { instances, lights, fault: fault(arrays) }
@@ -82,7 +83,7 @@ impl Canonical {
             () if a.material != b.material => "material",
             () => "textures",
         };
-        let records = [a, b].map(|instance| bytemuck::pod_read_unaligned::<Instance>(&instance.record));
+        let records = [a, b].map(|instance| bytemuck::pod_read_unaligned::<InstanceRecord>(&instance.record));
         Some(format!("instance {i}: {part} of {records:?}"))
     }
 
@@ -92,7 +93,7 @@ impl Canonical {
     }
 }
 
-fn canonical_instance(arrays: &DeviceArrays, instance: &Instance, leaf: &Node, exact: bool) -> CanonicalInstance {
+fn canonical_instance(arrays: &DeviceArrays, instance: &InstanceRecord, leaf: &Node, exact: bool) -> CanonicalInstance {
     let (nodes, triangles) = structure(arrays, instance);
     let mut triangles = triangles.to_vec();
     if !exact {
@@ -108,9 +109,9 @@ fn canonical_instance(arrays: &DeviceArrays, instance: &Instance, leaf: &Node, e
         material.normal_texture,
     ];
     // Whether triangles repeat is a matter of the structure.
-    let flags = if exact { instance.flags } else { instance.flags & !InstanceFlags::REPEATS.bits() };
-    let record = Instance { first_node: 0, first_triangle: 0, geometry: 0, material: 0, flags, ..*instance };
-    let material = Material {
+    let flags = if exact { instance.flags } else { instance.flags & !InstanceFlags::HAS_DUPLICATES.bits() };
+    let record = InstanceRecord { first_node: 0, first_triangle: 0, geometry: 0, material: 0, flags, ..*instance };
+    let material = MaterialRecord {
         base_color_texture: 0,
         metallic_roughness_texture: 0,
         emissive_texture: 0,
@@ -130,18 +131,21 @@ fn canonical_instance(arrays: &DeviceArrays, instance: &Instance, leaf: &Node, e
 }
 
 /// The nodes and triangles of an instance.
-fn structure<'a>(arrays: &'a DeviceArrays, instance: &Instance) -> (&'a [Node], &'a [Triangle]) {
+fn structure<'a>(arrays: &'a DeviceArrays, instance: &InstanceRecord) -> (&'a [Node], &'a [Triangle]) {
     let nodes = reachable(&arrays.blas_nodes[instance.first_node as usize..]);
-    let triangle_count =
-        nodes.iter().map(|n| (n.primitives.first() + n.primitives.count()) as usize).max().unwrap_or(0);
+    let triangle_count = nodes
+        .iter()
+        .map(|n| (n.primitives.first_primitive() + n.primitives.primitive_count()) as usize)
+        .max()
+        .unwrap_or(0);
     (nodes, &arrays.triangles[instance.first_triangle as usize..][..triangle_count])
 }
 
 /// A bottom-level structure in which some ray would not find a triangle, or an instance whose box is not around it or larger
 /// than that of its turned local box.
 fn fault(arrays: &DeviceArrays) -> Option<String> {
-    let leaves = arrays.tlas_nodes.iter().filter(|node| node.primitives.count() > 0);
-    leaves.filter_map(|leaf| Some((leaf, arrays.instances.get(leaf.primitives.first() as usize)?))).find_map(
+    let leaves = arrays.tlas_nodes.iter().filter(|node| node.primitives.primitive_count() > 0);
+    leaves.filter_map(|leaf| Some((leaf, arrays.instances.get(leaf.primitives.first_primitive() as usize)?))).find_map(
         |(leaf, instance)| {
             let (nodes, triangles) = structure(arrays, instance);
             let Some(leaves) = rope_leaves(nodes, triangles) else { return Some("the order of nodes".to_owned()) };
@@ -149,7 +153,7 @@ fn fault(arrays: &DeviceArrays) -> Option<String> {
                 return Some(format!("triangle {primitive} sticks out"));
             }
             let primitives: HashSet<u32> = triangles.iter().map(|triangle| triangle.primitive).collect();
-            let repeats = InstanceFlags::from_bits_retain(instance.flags).contains(InstanceFlags::REPEATS);
+            let repeats = InstanceFlags::from_bits_retain(instance.flags).contains(InstanceFlags::HAS_DUPLICATES);
             if repeats != (primitives.len() < triangles.len()) {
                 return Some(format!("an instance that repeats: {repeats}"));
             }
@@ -198,7 +202,8 @@ fn wide_leaves<'a>(nodes: &[WideNode], triangles: &'a [Triangle]) -> Vec<Leaf<'a
             };
             let [min, max] = [0, 1].map(|side| DVec3::from([0, 1, 2].map(|axis| plane(axis, side))));
             let around: Vec<_> = above.iter().copied().chain([(min, max)]).collect();
-            let (first, count) = (node.children[slot].first() as usize, node.children[slot].count() as usize);
+            let (first, count) =
+                (node.children[slot].first_primitive() as usize, node.children[slot].primitive_count() as usize);
             if count == 0 {
                 open.push((first, around));
             } else {
@@ -224,7 +229,7 @@ fn rope_leaves<'a>(nodes: &[Node], triangles: &'a [Triangle]) -> Option<Vec<Leaf
             return None;
         }
         above.push(index);
-        let (first, count) = (node.primitives.first() as usize, node.primitives.count() as usize);
+        let (first, count) = (node.primitives.first_primitive() as usize, node.primitives.primitive_count() as usize);
         if count > 0 {
             leaves.push((above.iter().map(bounds).collect(), triangles.get(first..first + count)?));
         }
@@ -256,7 +261,7 @@ fn reachable(nodes: &[Node]) -> &[Node] {
     let mut i = 0;
     loop {
         let node = &nodes[i];
-        match (node.primitives.count(), node.escape_index) {
+        match (node.primitives.primitive_count(), node.escape_index) {
             (0, _) => i += 1,
             (_, NONE) => return &nodes[..=i],
             (_, escape) => i = escape as usize,
@@ -264,7 +269,7 @@ fn reachable(nodes: &[Node]) -> &[Node] {
     }
 }
 
-fn canonical_streams(arrays: &DeviceArrays, streams: &Streams, triangles: &[Triangle]) -> Vec<Vec<u8>> {
+fn canonical_streams(arrays: &DeviceArrays, streams: &GeometryRecord, triangles: &[Triangle]) -> Vec<Vec<u8>> {
     if streams.first_index == NONE {
         return Vec::new();
     }

@@ -2,11 +2,11 @@
 //! `ROPEWALK_REQUIRE_GPU` (set by `scripts/test.sh`) it fails.
 
 use ropewalk::Result;
-use ropewalk::trace::gpu::{Adapters, GpuOptions, GpuTracer};
+use ropewalk::trace::gpu::{AdapterKinds, GpuOptions, GpuTracer};
 
 /// A tracer, or `None` where the test is to be skipped.
 pub fn tracer() -> Option<GpuTracer> {
-    usable(GpuTracer::new(&GpuOptions { adapters: Adapters::Any, ..Default::default() }))
+    usable(GpuTracer::new(&GpuOptions { adapters: AdapterKinds::IncludingSoftware, ..Default::default() }))
 }
 
 /// What the GPU gave, or `None` where the test is to be skipped for want of one.

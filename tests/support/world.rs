@@ -6,8 +6,8 @@ use std::sync::Arc;
 use glam::{DQuat, DVec3, Vec2, Vec3, Vec4};
 use proptest::prelude::*;
 use ropewalk::{
-    AlphaMode, Billboard, Camera, Core, Geometry, GeometryKey, Keep, Light, LightKind, Lod, Material, MaterialKey,
-    NodeKey, Quality, Scene, Structure, Switch, Texture, TextureKey, TextureRef, Transform,
+    AlphaMode, Billboard, BlasKind, Camera, Core, Geometry, GeometryKey, KeepTransform, Light, LightKind, Lod,
+    Material, MaterialKey, NodeKey, Quality, Scene, Switch, Texture, TextureKey, TextureRef, Transform,
 };
 
 /// One random edit; numbers choose among what there is.
@@ -127,7 +127,7 @@ impl World {
             }
             Edit::Reparent(node, parent) => {
                 let (node, parent) = (self.node(node), self.node(parent));
-                let _ = self.scene.reparent(node, parent, Keep::Local);
+                let _ = self.scene.reparent(node, parent, KeepTransform::Local);
             }
             Edit::SetMask(node, mask) => {
                 let node = self.node(node);
@@ -156,9 +156,9 @@ impl World {
             }
             Edit::Choose(which, structure) => {
                 let key = self.geometry(which);
-                let bvh = |quality| Some(Structure::Bvh(quality));
-                let choices = [None, bvh(Quality::Fast), bvh(Quality::Best), Some(Structure::KdTree)];
-                let geometry = self.scene.geometry(key).unwrap().clone().with_structure(choices[structure % 4]);
+                let bvh = |quality| Some(BlasKind::Bvh(quality));
+                let choices = [None, bvh(Quality::Low), bvh(Quality::High), Some(BlasKind::KdTree)];
+                let geometry = self.scene.geometry(key).unwrap().clone().with_blas_kind(choices[structure % 4]);
                 self.scene.set_geometry(key, geometry).unwrap();
             }
             Edit::SetTexture(which, value) => {
@@ -194,7 +194,11 @@ impl World {
             8 => Core::Instance(self.node(i)),
             9 => Core::Lod(Lod::by_distance([i as f64 / 4.0 + 0.1])),
             10 => Core::Lod(Lod::by_projected_size(1.0, [i as f64 / 64.0 + 0.01])),
-            11 => Core::Billboard(if i.is_multiple_of(2) { Billboard::Free } else { Billboard::Axis(DVec3::Y) }),
+            11 => Core::Billboard(if i.is_multiple_of(2) {
+                Billboard::Spherical
+            } else {
+                Billboard::Cylindrical(DVec3::Y)
+            }),
             1 => Core::Transform(Transform::from_translation(DVec3::X * i as f64)),
             2 => Core::Camera(Camera::default()),
             3 => Core::Light(Light { kind: LightKind::Point, color: Vec3::ONE, intensity: i as f32, range: None }),

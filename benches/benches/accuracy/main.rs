@@ -11,7 +11,7 @@ use clap::Parser;
 use glam::Vec3;
 use rayon::prelude::*;
 use ropewalk::device::DeviceArrays;
-use ropewalk::device::layout::{Hit, NONE, Ray};
+use ropewalk::device::layout::{HitRecord, NONE, RayRecord};
 use ropewalk::trace::{Cpu, Tracer as _};
 use ropewalk_bench::rays::{RayKind, RaySets, meet};
 use ropewalk_bench::scenes::{ImageSize, SCENES};
@@ -124,7 +124,7 @@ fn measure_all(options: &Options) -> Result<Report> {
     Ok(report)
 }
 
-fn tally(arrays: &DeviceArrays, rays: &[Ray], hits: &[Hit], truth: &[Option<oracle::Exact>]) -> Tally {
+fn tally(arrays: &DeviceArrays, rays: &[RayRecord], hits: &[HitRecord], truth: &[Option<oracle::Exact>]) -> Tally {
     let mut tally = Tally::default();
     for ((ray, hit), truth) in rays.iter().zip(hits).zip(truth) {
         if hit.instance == NONE {
@@ -145,7 +145,7 @@ fn tally(arrays: &DeviceArrays, rays: &[Ray], hits: &[Hit], truth: &[Option<orac
 }
 
 /// No wrong triangles, since it is asked of the right ones only.
-fn tally_moeller_trumbore(arrays: &DeviceArrays, rays: &[Ray], truth: &[Option<oracle::Exact>]) -> Tally {
+fn tally_moeller_trumbore(arrays: &DeviceArrays, rays: &[RayRecord], truth: &[Option<oracle::Exact>]) -> Tally {
     let mut tally = Tally::default();
     for (ray, truth) in rays.iter().zip(truth) {
         let Some(truth) = truth else { continue };

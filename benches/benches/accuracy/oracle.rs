@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec3};
 use ropewalk::device::DeviceArrays;
-use ropewalk::device::layout::{Instance, Node, PrimitiveRange, Ray, Triangle};
+use ropewalk::device::layout::{InstanceRecord, Node, PrimitiveRange, RayRecord, Triangle};
 
 /// A ray's closest hit, or what is known of another one.
 #[derive(Clone, Copy)]
@@ -20,11 +20,11 @@ struct LocalRay {
 }
 
 impl LocalRay {
-    fn new(ray: &Ray) -> Self {
+    fn new(ray: &RayRecord) -> Self {
         Self { origin: vector(ray.origin), direction: vector(ray.direction) }
     }
 
-    fn within(&self, instance: &Instance) -> Self {
+    fn within(&self, instance: &InstanceRecord) -> Self {
         let rows = instance.local_from_world.map(|row| row.map(f64::from));
         let linear = DMat3::from_cols_array_2d(&rows.map(|[x, y, z, _]| [x, y, z])).transpose();
         let translation = DVec3::from_array(rows.map(|row| row[3]));
@@ -52,17 +52,17 @@ impl LocalRay {
 }
 
 /// The closest hit of a ray from t = 0 on, by walking the arrays' hierarchies.
-pub fn closest(arrays: &DeviceArrays, ray: &Ray) -> Option<Exact> {
+pub fn closest(arrays: &DeviceArrays, ray: &RayRecord) -> Option<Exact> {
     let world = LocalRay::new(ray);
     let mut found: Option<Exact> = None;
     visit(&arrays.tlas_nodes, &world, f64::INFINITY, |leaf, _| {
-        let index = leaf.first();
+        let index = leaf.first_primitive();
         let instance = &arrays.instances[index as usize];
         let local = world.within(instance);
         let t_max = found.map_or(f64::INFINITY, |hit| hit.t);
         visit(&arrays.blas_nodes[instance.first_node as usize..], &local, t_max, |leaf, mut t_max| {
-            let first = instance.first_triangle + leaf.first();
-            for i in first..first + leaf.count() {
+            let first = instance.first_triangle + leaf.first_primitive();
+            for i in first..first + leaf.primitive_count() {
                 let triangle = &arrays.triangles[i as usize];
                 let (t, is_within) = local.cross(triangle);
                 if is_within && t >= 0.0 && t < t_max {
@@ -83,24 +83,24 @@ fn visit(nodes: &[Node], ray: &LocalRay, mut t_max: f64, mut leaf: impl FnMut(Pr
     while let Some(node) = nodes.get(index as usize) {
         let is_met = ray.meets(node, t_max);
         index = if is_met && node.primitives == PrimitiveRange::INNER { index + 1 } else { node.escape_index };
-        if is_met && node.primitives.count() > 0 {
+        if is_met && node.primitives.primitive_count() > 0 {
             t_max = leaf(node.primitives, t_max);
         }
     }
 }
 
 /// How far it truly is to the plane of a triangle, along a ray of the world, and along that ray as f32 has it in the instance.
-pub fn distances(arrays: &DeviceArrays, ray: &Ray, instance: u32, triangle: u32) -> [f64; 2] {
+pub fn distances(arrays: &DeviceArrays, ray: &RayRecord, instance: u32, triangle: u32) -> [f64; 2] {
     let exact = LocalRay::new(ray).within(&arrays.instances[instance as usize]);
     let rounded = LocalRay::new(&local_ray(arrays, ray, instance));
     [exact, rounded].map(|ray| ray.cross(&arrays.triangles[triangle as usize]).0)
 }
 
 /// The ray in an instance, rounded as the kernel does it.
-pub fn local_ray(arrays: &DeviceArrays, ray: &Ray, instance: u32) -> Ray {
+pub fn local_ray(arrays: &DeviceArrays, ray: &RayRecord, instance: u32) -> RayRecord {
     let rows = arrays.instances[instance as usize].local_from_world;
     let ([ox, oy, oz], [dx, dy, dz]) = (ray.origin, ray.direction);
-    Ray {
+    RayRecord {
         origin: rows.map(|[x, y, z, w]| (x * ox + y * oy) + z * oz + w),
         direction: rows.map(|[x, y, z, _]| (x * dx + y * dy) + z * dz),
         ..*ray

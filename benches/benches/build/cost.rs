@@ -34,7 +34,7 @@ pub fn of_ours(nodes: &[Node]) -> f64 {
     let next = |index: usize| (nodes[index].escape_index as usize).min(nodes.len());
     let node = |index: usize| CostNode {
         area: half_area(nodes[index].min.into(), nodes[index].max.into()),
-        primitives: nodes[index].primitives.count(),
+        primitives: nodes[index].primitives.primitive_count(),
     };
     sah_cost(node, |index, list| {
         let mut child = index + 1;

@@ -13,9 +13,9 @@ use std::time::Duration;
 
 use clap::Parser as _;
 use glam::Vec3;
-use ropewalk::accel::{Blas, BuildParams};
+use ropewalk::accel::{Blas, BlasBuildParams};
 use ropewalk::trace::Cpu;
-use ropewalk::{Geometry, Quality, Structure};
+use ropewalk::{BlasKind, Geometry, Quality};
 use ropewalk_bench::embree::{self, Batch as _, Closest1, Embree};
 use ropewalk_bench::rays::{RayKind, RaySets};
 use ropewalk_bench::runner::{Runner as _, Traced};
@@ -27,11 +27,11 @@ use peers::Peer;
 const NAMES: [&str; 4] = ["bunny", "dragon-res2", "dragon", "sponza"];
 const QUICK_NAMES: [&str; 2] = ["bunny", "sponza"];
 
-const OURS: [(&str, Structure); 4] = [
-    ("ropewalk, fast", Structure::Bvh(Quality::Fast)),
-    ("ropewalk, balanced", Structure::Bvh(Quality::Balanced)),
-    ("ropewalk, best", Structure::Bvh(Quality::Best)),
-    ("ropewalk, kd-tree", Structure::KdTree),
+const OURS: [(&str, BlasKind); 4] = [
+    ("ropewalk, fast", BlasKind::Bvh(Quality::Low)),
+    ("ropewalk, balanced", BlasKind::Bvh(Quality::Medium)),
+    ("ropewalk, best", BlasKind::Bvh(Quality::High)),
+    ("ropewalk, kd-tree", BlasKind::KdTree),
 ];
 
 const EMBREE: [(&str, embree::Quality); 3] = [
@@ -75,7 +75,7 @@ fn measure(recipe: &Recipe, samples: usize, report: &mut Report) -> Result<()> {
     let geometry = soup(&triangles);
     let mut points = Vec::new();
     for ((name, structure), (&time, &rate)) in OURS.into_iter().zip(times.iter().zip(&rates)) {
-        let blas = Blas::build(&geometry, &BuildParams::new(structure))?;
+        let blas = Blas::build(&geometry, &BlasBuildParams::new(structure))?;
         points.push(Point { name, time, cost: Some(cost::of_ours(&blas.nodes)), rate: Some(rate) });
     }
     for ((name, _), (&time, &rate)) in EMBREE.into_iter().zip(times[4..].iter().zip(&rates[4..])) {
@@ -124,7 +124,7 @@ fn build_times(triangles: &[[Vec3; 3]], embree: &Embree, peers: &[Peer], samples
     let geometry = &soup(triangles);
     let mut contenders: Vec<Contender> = Vec::new();
     for (_, structure) in OURS {
-        contenders.push(Box::new(move || time(|| Blas::build(geometry, &BuildParams::new(structure)))));
+        contenders.push(Box::new(move || time(|| Blas::build(geometry, &BlasBuildParams::new(structure)))));
     }
     for (_, quality) in EMBREE {
         contenders.push(Box::new(move || time(|| embree.scene(triangles, quality, false).is_ok())));
@@ -162,14 +162,14 @@ fn rates(recipe: &Recipe, triangles: &[[Vec3; 3]], embree: &Embree, samples: usi
 }
 
 /// A scene of one geometry whose structure is this.
-fn with_structure(recipe: &Recipe, structure: Structure) -> Result<BenchScene> {
+fn with_structure(recipe: &Recipe, structure: BlasKind) -> Result<BenchScene> {
     let mut scene = recipe.load(ImageSize::Paper)?;
     // The same triangles in the same order as they were given.
     let arrays = scene.compiler.arrays_mut();
     let mut triangles: Vec<_> = arrays.triangles.to_vec();
     triangles.sort_by_key(|triangle| triangle.primitive);
     let corners: Vec<[Vec3; 3]> = triangles.iter().map(|t| [t.v0, t.v1, t.v2].map(Vec3::from_array)).collect();
-    let blas = Blas::build(&soup(&corners), &BuildParams::new(structure))?;
+    let blas = Blas::build(&soup(&corners), &BlasBuildParams::new(structure))?;
     arrays.blas_nodes.replace(&blas.nodes);
     arrays.wide_nodes.replace(&blas.wide_nodes);
     arrays.triangles.replace(&blas.triangles);

@@ -11,7 +11,7 @@ use obvhs::ray::RayHit;
 use obvhs::rt_triangle::RtTriangle;
 use parry3d::query::RayCast as _;
 use parry3d::shape::TriMesh;
-use ropewalk::device::layout::Ray;
+use ropewalk::device::layout::RayRecord;
 use ropewalk_bench::Result;
 use ropewalk_bench::bvh_shape::Shape;
 use ropewalk_bench::rays::{RayKind, any_answer, meet};
@@ -46,8 +46,8 @@ impl Obvhs {
 }
 
 impl Peer for Obvhs {
-    fn entries<'a>(&'a self, rays: &'a [Ray], kind: RayKind) -> Vec<Entry<'a>> {
-        let own = |ray: &Ray| {
+    fn entries<'a>(&'a self, rays: &'a [RayRecord], kind: RayKind) -> Vec<Entry<'a>> {
+        let own = |ray: &RayRecord| {
             let [origin, direction] = [ray.origin, ray.direction].map(Vec3::from_array);
             obvhs::ray::Ray::new(origin.into(), direction.into(), ray.t_min, ray.t_max)
         };
@@ -79,7 +79,7 @@ impl Bvh {
         Self { bvh: bvh::bvh::Bvh::build(&mut shapes), shapes }
     }
 
-    fn closest(&self, ray: &Ray, own: &bvh::ray::Ray<f32, 3>) -> f32 {
+    fn closest(&self, ray: &RayRecord, own: &bvh::ray::Ray<f32, 3>) -> f32 {
         let mut best = f32::INFINITY;
         for shape in self.bvh.nearest_traverse_iterator(own, &self.shapes) {
             let entry = own.intersection_slice_for_aabb(&bvh::aabb::Bounded::aabb(shape));
@@ -91,18 +91,18 @@ impl Bvh {
         best
     }
 
-    fn any(&self, ray: &Ray, own: &bvh::ray::Ray<f32, 3>) -> bool {
+    fn any(&self, ray: &RayRecord, own: &bvh::ray::Ray<f32, 3>) -> bool {
         self.bvh.traverse_iterator(own, &self.shapes).any(|shape| meet(ray, &shape.corners, ray.t_max).is_some())
     }
 }
 
 impl Peer for Bvh {
-    fn entries<'a>(&'a self, rays: &'a [Ray], kind: RayKind) -> Vec<Entry<'a>> {
-        let own = |ray: &Ray| {
+    fn entries<'a>(&'a self, rays: &'a [RayRecord], kind: RayKind) -> Vec<Entry<'a>> {
+        let own = |ray: &RayRecord| {
             let direction = Vector3::from(ray.direction);
             (*ray, bvh::ray::Ray::new(Point3::from(ray.origin), direction))
         };
-        let trace = move |(ray, own): &(Ray, bvh::ray::Ray<f32, 3>)| {
+        let trace = move |(ray, own): &(RayRecord, bvh::ray::Ray<f32, 3>)| {
             if kind.is_any_hit() { any_answer(self.any(ray, own)) } else { self.closest(ray, own) }
         };
         vec![entry("bvh", RayByRay::new(rays.iter().map(own).collect(), trace))]
@@ -122,8 +122,8 @@ impl Parry {
 }
 
 impl Peer for Parry {
-    fn entries<'a>(&'a self, rays: &'a [Ray], kind: RayKind) -> Vec<Entry<'a>> {
-        let own = |ray: &Ray| {
+    fn entries<'a>(&'a self, rays: &'a [RayRecord], kind: RayKind) -> Vec<Entry<'a>> {
+        let own = |ray: &RayRecord| {
             let [origin, direction] = [ray.origin, ray.direction].map(|[x, y, z]| parry3d::math::Vector::new(x, y, z));
             (parry3d::query::Ray::new(origin, direction), ray.t_max)
         };

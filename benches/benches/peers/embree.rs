@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use glam::Vec3;
-use ropewalk::device::layout::Ray;
+use ropewalk::device::layout::RayRecord;
 use ropewalk_bench::embree::{Any1, Any16, Batch, Closest1, Closest16, Embree, Quality, Scene};
 use ropewalk_bench::rays::RayKind;
 use ropewalk_bench::runner::Runner;
@@ -25,7 +25,7 @@ impl<'a> Embree4<'a> {
 }
 
 impl Peer for Embree4<'_> {
-    fn entries<'a>(&'a self, rays: &'a [Ray], kind: RayKind) -> Vec<Entry<'a>> {
+    fn entries<'a>(&'a self, rays: &'a [RayRecord], kind: RayKind) -> Vec<Entry<'a>> {
         let [medium, high, robust] = &self.0;
         let best = kind.is_coherent();
         vec![
@@ -40,7 +40,7 @@ impl Peer for Embree4<'_> {
     }
 }
 
-fn embree_1<'a>(how: &str, role: Role, scene: &'a Scene<'a>, rays: &'a [Ray], kind: RayKind) -> Entry<'a> {
+fn embree_1<'a>(how: &str, role: Role, scene: &'a Scene<'a>, rays: &'a [RayRecord], kind: RayKind) -> Entry<'a> {
     if kind.is_any_hit() {
         let runner = Box::new(Function::<Any1>::new(scene, rays, false));
         return Entry { name: format!("Embree 4 occluded1{how}"), role, runner };
@@ -53,7 +53,7 @@ fn embree_16<'a>(
     how: &str,
     role: Role,
     scene: &'a Scene<'a>,
-    rays: &'a [Ray],
+    rays: &'a [RayRecord],
     kind: RayKind,
     is_coherent: bool,
 ) -> Entry<'a> {
@@ -68,13 +68,13 @@ fn embree_16<'a>(
 /// One of Embree's functions.
 struct Function<'a, B> {
     scene: &'a Scene<'a>,
-    rays: &'a [Ray],
+    rays: &'a [RayRecord],
     is_coherent: bool,
     batch: B,
 }
 
 impl<'a, B: Batch + Default> Function<'a, B> {
-    fn new(scene: &'a Scene<'a>, rays: &'a [Ray], is_coherent: bool) -> Self {
+    fn new(scene: &'a Scene<'a>, rays: &'a [RayRecord], is_coherent: bool) -> Self {
         Self { scene, rays, is_coherent, batch: B::default() }
     }
 }

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use embree3::{BufferUsage, Device, Format, GeometryKind, IntersectContext, RayHit, Scene};
 use glam::Vec3;
-use ropewalk::device::layout::Ray;
+use ropewalk::device::layout::RayRecord;
 use ropewalk_bench::rays::{RayKind, any_answer};
 use ropewalk_bench::runner::Runner;
 use ropewalk_bench::{Result, time};
@@ -38,7 +38,7 @@ impl Embree3 {
 }
 
 impl Peer for Embree3 {
-    fn entries<'a>(&'a self, rays: &'a [Ray], kind: RayKind) -> Vec<Entry<'a>> {
+    fn entries<'a>(&'a self, rays: &'a [RayRecord], kind: RayKind) -> Vec<Entry<'a>> {
         let name = if kind.is_any_hit() { "Embree 3 occluded1" } else { "Embree 3 intersect1" };
         let runner = Box::new(Function { scene: &self.0, rays, kind, batch: Vec::new() });
         vec![Entry { name: name.to_owned(), role: Role::Other, runner }]
@@ -47,14 +47,15 @@ impl Peer for Embree3 {
 
 struct Function<'a> {
     scene: &'a Scene<'static>,
-    rays: &'a [Ray],
+    rays: &'a [RayRecord],
     kind: RayKind,
     batch: Vec<RayHit>,
 }
 
 impl Runner for Function<'_> {
     fn run(&mut self) -> Duration {
-        let own = |ray: &Ray| RayHit::from(embree3::Ray::segment(ray.origin, ray.direction, ray.t_min, ray.t_max));
+        let own =
+            |ray: &RayRecord| RayHit::from(embree3::Ray::segment(ray.origin, ray.direction, ray.t_min, ray.t_max));
         self.batch.clear();
         self.batch.extend(self.rays.iter().map(own));
         let mut context = IntersectContext::incoherent();

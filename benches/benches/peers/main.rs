@@ -15,7 +15,7 @@ use std::process::ExitCode;
 use clap::Parser;
 use glam::Vec3;
 use rayon::ThreadPool;
-use ropewalk::device::layout::Ray;
+use ropewalk::device::layout::RayRecord;
 use ropewalk::trace::Cpu;
 use ropewalk_bench::embree::Embree;
 use ropewalk_bench::rays::{Differences, RayKind, RaySets};
@@ -116,7 +116,7 @@ fn build_peers<'a>(embree: &'a Embree, triangles: &[[Vec3; 3]]) -> Result<Vec<Bo
     ])
 }
 
-fn ours<'a>(scene: &'a BenchScene, rays: &'a [Ray], kind: RayKind, pools: &'a [ThreadPool; 2]) -> [Entry<'a>; 2] {
+fn ours<'a>(scene: &'a BenchScene, rays: &'a [RayRecord], kind: RayKind, pools: &'a [ThreadPool; 2]) -> [Entry<'a>; 2] {
     [(Role::Ours, &pools[0]), (Role::Other, &pools[1])].map(|(role, pool)| {
         let threads = pool.current_num_threads();
         let name = if threads == 1 { "ropewalk".to_owned() } else { format!("ropewalk, {threads} threads") };

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use ropewalk::device::layout::Ray;
+use ropewalk::device::layout::RayRecord;
 use ropewalk_bench::rays::RayKind;
 use ropewalk_bench::runner::Runner;
 use ropewalk_bench::time;
@@ -29,7 +29,7 @@ pub enum Role {
 /// Somebody else's structure over a scene.
 pub trait Peer {
     /// The ways to trace rays with it.
-    fn entries<'a>(&'a self, rays: &'a [Ray], kind: RayKind) -> Vec<Entry<'a>>;
+    fn entries<'a>(&'a self, rays: &'a [RayRecord], kind: RayKind) -> Vec<Entry<'a>>;
 }
 
 /// A peer that is asked for one ray after the other.

@@ -15,8 +15,8 @@ use glam::DVec3;
 use rayon::ThreadPool;
 use rayon::prelude::*;
 use ropewalk::device::DeviceArrays;
-use ropewalk::device::layout::{NONE, Ray};
-use ropewalk::trace::{Counts, Cpu, Emulated, Layout};
+use ropewalk::device::layout::{NONE, RayRecord};
+use ropewalk::trace::{Cpu, Emulated, Traversal, TraversalCounts};
 use ropewalk::{Camera, Scene, View};
 #[cfg(feature = "gpu")]
 use ropewalk_bench::gpu::Gpu;
@@ -143,7 +143,7 @@ fn measure_all(options: &Options) -> Result<(Report, Vec<Point>)> {
 struct Entry<'a> {
     name: String,
     runner: Box<dyn Runner + 'a>,
-    counts: Option<Counts>,
+    counts: Option<TraversalCounts>,
 }
 
 fn measure_size(
@@ -159,15 +159,15 @@ fn measure_size(
     #[cfg_attr(not(feature = "gpu"), expect(unused_mut, reason = "for the upload"))]
     let mut scene = made?;
     #[cfg(feature = "gpu")]
-    let gpu = Gpu::new(options, scene.compiler.arrays_mut(), Layout::default())
+    let gpu = Gpu::new(options, scene.compiler.arrays_mut(), Traversal::default())
         .inspect_err(|error| println!("{count} {}: gpu: skipped: {error}", series.name()));
     let (arrays, sets) = (scene.arrays(), RaySets::new(&scene)?);
     let (stored, instances) = (arrays.triangles.len(), arrays.instances.len());
     for kind in KINDS {
         let rays = sets.of(kind);
         let mut entries: Vec<Entry> = Vec::new();
-        for (name, layout) in [("emulated, rope", Layout::Rope), ("emulated, wide", Layout::Wide)] {
-            let kernel = Emulated::default().with_layout(layout);
+        for (name, layout) in [("emulated, rope", Traversal::Rope), ("emulated, wide", Traversal::Wide)] {
+            let kernel = Emulated::default().with_traversal(layout);
             let counts = Some(work(&kernel, arrays, rays));
             let runner = Box::new(Traced::new(kernel, &pools[0], arrays, rays, kind));
             entries.push(Entry { name: name.to_owned(), runner, counts });
@@ -196,7 +196,7 @@ fn measure_size(
         for (entry, time) in entries.iter().zip(times) {
             let differences = Differences::between(&truth, &entry.runner.answers());
             let a_ray = |count: u64| count as f64 / rays.len() as f64;
-            let counted = |count: fn(&Counts) -> u64| {
+            let counted = |count: fn(&TraversalCounts) -> u64| {
                 entry.counts.map_or(String::new(), |counts| format!("{:.1}", a_ray(count(&counts))))
             };
             report.row([
@@ -231,11 +231,11 @@ fn measure_size(
 }
 
 /// What the rays cost, counted by all threads.
-fn work(kernel: &Emulated, arrays: &DeviceArrays, rays: &[Ray]) -> Counts {
+fn work(kernel: &Emulated, arrays: &DeviceArrays, rays: &[RayRecord]) -> TraversalCounts {
     const CHUNK: usize = 1 << 12;
-    let counts: Vec<Counts> =
+    let counts: Vec<TraversalCounts> =
         rays.par_chunks(CHUNK).map(|rays| kernel.count_closest_hits(arrays, rays, NONE)).collect();
-    counts.into_iter().fold(Counts::default(), |mut sum, counts| {
+    counts.into_iter().fold(TraversalCounts::default(), |mut sum, counts| {
         sum += counts;
         sum
     })

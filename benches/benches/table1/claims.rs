@@ -2,7 +2,7 @@
 
 use ropewalk::device::DeviceArrays;
 use ropewalk::device::layout::NONE;
-use ropewalk::trace::{Counts, Emulated, Layout, Recursive, Tracer as _};
+use ropewalk::trace::{Emulated, Recursive, Tracer as _, Traversal, TraversalCounts};
 use ropewalk_bench::Result;
 use ropewalk_bench::rays::{RayKind, RaySets};
 use ropewalk_bench::scenes::BenchScene;
@@ -19,7 +19,7 @@ const FAR: Setting = Setting { is_far: true, has_shadows: true };
 /// What the same rays cost in the same structure, by pointers and by arrays.
 pub struct Walks {
     scene: &'static str,
-    kinds: Vec<(RayKind, usize, [Counts; 2])>,
+    kinds: Vec<(RayKind, usize, [TraversalCounts; 2])>,
 }
 
 impl Walks {
@@ -27,7 +27,7 @@ impl Walks {
     pub fn count(scene: &BenchScene, paper: &mut DeviceArrays) -> Result<Self> {
         let mut recursive = Recursive::default();
         recursive.upload(paper)?;
-        let ropes = Emulated::default().with_layout(Layout::Rope);
+        let ropes = Emulated::default().with_traversal(Traversal::Rope);
         let sets = RaySets::new(scene)?;
         let kinds = [RayKind::Primary, RayKind::Diffuse].map(|kind| {
             let rays = sets.of(kind);
@@ -92,7 +92,7 @@ fn triangle_count(measured: &[Measured]) -> Vec<String> {
         let same = |figure: &&&Measured| figure.triangles == most && figure.executor == small.executor;
         let Some(large) = near.iter().find(same) else { continue };
         let [a_frame, a_ray] = [[small.seconds, large.seconds], [small, large].map(|f| f.a_ray(f.seconds * 1e9))];
-        let nodes = [small, large].map(|figure| figure.a_ray(figure.counts.work.nodes as f64));
+        let nodes = [small, large].map(|figure| figure.a_ray(figure.counts.cost.nodes as f64));
         held += usize::from(exponent(a_frame) <= HARDLY);
         let counted = if nodes[0] > 0.0 {
             format!(", {:.1} to {:.1} nodes, exponent {:.2}", nodes[0], nodes[1], exponent(nodes))
@@ -155,8 +155,8 @@ fn told(figure: &Measured) -> String {
         "{} from {}: {} first rays hit, {} rays in all, {:.1} nodes a ray",
         figure.scene,
         figure.setting,
-        counts.first_hits,
-        counts.rays + counts.shadow_rays,
-        figure.a_ray(counts.work.nodes as f64),
+        counts.primary_hits,
+        counts.radiance_rays + counts.shadow_rays,
+        figure.a_ray(counts.cost.nodes as f64),
     )
 }

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use rayon::ThreadPool;
 use ropewalk::device::DeviceArrays;
-use ropewalk::trace::{Counts, Cpu, Emulated, FrameCounts, FrameRequest, Layout, Recursive, Tracer};
+use ropewalk::trace::{Cpu, Emulated, FrameCounts, FrameRequest, Recursive, Tracer, Traversal, TraversalCounts};
 #[cfg(feature = "gpu")]
 use ropewalk_bench::gpu;
 use ropewalk_bench::scenes::BenchScene;
@@ -19,7 +19,7 @@ pub struct Executor<'a> {
     /// Whether it gets the paper's arrays instead of the shipped ones.
     pub walks_paper: bool,
     /// What it walks there, if the kernel can count that.
-    pub layout: Option<Layout>,
+    pub layout: Option<Traversal>,
     tracer: Box<dyn Tracer + Send>,
     pool: &'a ThreadPool,
     clock: Clock,
@@ -48,7 +48,7 @@ impl Clock {
             #[cfg(feature = "gpu")]
             Self::ReadBack => {
                 let mut is_read = false;
-                let read = time(|| is_read = tracer.read().is_ok());
+                let read = time(|| is_read = tracer.read_image().is_ok());
                 is_read.then_some(call + read)
             }
         }
@@ -70,7 +70,7 @@ impl Executor<'_> {
 
     /// The colours of the last frame.
     pub fn image(&self) -> Result<Vec<[f32; 4]>> {
-        Ok(self.tracer.read()?.color)
+        Ok(self.tracer.read_image()?.color)
     }
 }
 
@@ -81,15 +81,15 @@ pub fn counts<'a>(
     arrays: impl Fn(&Executor<'_>) -> &'a DeviceArrays,
 ) -> Vec<FrameCounts> {
     let walk = |executor: &Executor| Some((executor.layout?, executor.walks_paper));
-    let mut counted: Vec<((Layout, bool), FrameCounts)> = Vec::new();
+    let mut counted: Vec<((Traversal, bool), FrameCounts)> = Vec::new();
     for executor in executors {
         let Some(walk) = walk(executor) else { continue };
         if counted.iter().all(|(other, _)| *other != walk) {
-            counted.push((walk, Emulated::default().with_layout(walk.0).count_frame(arrays(executor), request)));
+            counted.push((walk, Emulated::default().with_traversal(walk.0).count_frame(arrays(executor), request)));
         }
     }
     let rays = counted.first().map_or(FrameCounts::default(), |(_, counts)| *counts);
-    let rays = FrameCounts { work: Counts::default(), ..rays };
+    let rays = FrameCounts { cost: TraversalCounts::default(), ..rays };
     let of = |executor: &Executor| counted.iter().find(|(other, _)| Some(*other) == walk(executor));
     executors.iter().map(|executor| of(executor).map_or(rays, |(_, counts)| *counts)).collect()
 }
@@ -110,7 +110,7 @@ pub fn executors<'a>(
         pool,
         clock: Clock::Call,
     };
-    let emulated = |layout| Box::new(Emulated::default().with_layout(layout));
+    let emulated = |layout| Box::new(Emulated::default().with_traversal(layout));
     let mut executors = vec![
         Executor {
             paper_column: Some(PaperColumn::Recursive),
@@ -120,11 +120,11 @@ pub fn executors<'a>(
         Executor {
             paper_column: Some(PaperColumn::Emulated),
             walks_paper: true,
-            layout: Some(Layout::Rope),
-            ..new("emulated, paper's structure, rope", emulated(Layout::Rope), one)
+            layout: Some(Traversal::Rope),
+            ..new("emulated, paper's structure, rope", emulated(Traversal::Rope), one)
         },
-        Executor { layout: Some(Layout::Rope), ..new("emulated, rope", emulated(Layout::Rope), one) },
-        Executor { layout: Some(Layout::Wide), ..new("emulated, wide", emulated(Layout::Wide), one) },
+        Executor { layout: Some(Traversal::Rope), ..new("emulated, rope", emulated(Traversal::Rope), one) },
+        Executor { layout: Some(Traversal::Wide), ..new("emulated, wide", emulated(Traversal::Wide), one) },
         new("cpu, 1 thread", Box::<Cpu>::default(), one),
         new(&format!("cpu, {} threads", all.current_num_threads()), Box::<Cpu>::default(), all),
     ];
@@ -148,9 +148,9 @@ fn gpus<'a>(
     pool: &'a ThreadPool,
 ) -> Result<Vec<Executor<'a>>> {
     let entries = [
-        (", paper's structure, rope", Layout::Rope, true, Clock::Gpu),
-        (", wide", Layout::Wide, false, Clock::Gpu),
-        (", wide, until read back", Layout::Wide, false, Clock::ReadBack),
+        (", paper's structure, rope", Traversal::Rope, true, Clock::Gpu),
+        (", wide", Traversal::Wide, false, Clock::Gpu),
+        (", wide, until read back", Traversal::Wide, false, Clock::ReadBack),
     ];
     let mut executors = Vec::new();
     for (how, layout, walks_paper, clock) in entries {

@@ -11,8 +11,8 @@ use clap::Parser;
 use rayon::ThreadPool;
 use rayon::prelude::*;
 use ropewalk::device::DeviceArrays;
-use ropewalk::device::layout::{NONE, Ray};
-use ropewalk::trace::{Counts, Cpu, Emulated, Layout};
+use ropewalk::device::layout::{NONE, RayRecord};
+use ropewalk::trace::{Cpu, Emulated, Traversal, TraversalCounts};
 #[cfg(feature = "gpu")]
 use ropewalk_bench::gpu::Gpu;
 use ropewalk_bench::layouts::paper_arrays;
@@ -22,10 +22,10 @@ use ropewalk_bench::scenes::{BenchScene, ImageSize, SCENES};
 use ropewalk_bench::{Contender, Options, Report, Result, finish, medians, thread_pool};
 
 /// What the kernel walks, and whether it is the paper's own arrays that it walks.
-const LAYOUTS: [(&str, Layout, bool); 3] = [
-    ("paper: rope of 1 triangle a leaf", Layout::Rope, true),
-    ("rope", Layout::Rope, false),
-    ("wide", Layout::Wide, false),
+const LAYOUTS: [(&str, Traversal, bool); 3] = [
+    ("paper: rope of 1 triangle a leaf", Traversal::Rope, true),
+    ("rope", Traversal::Rope, false),
+    ("wide", Traversal::Wide, false),
 ];
 const QUICK_NAMES: [&str; 2] = ["sphere", "bunny"];
 
@@ -90,17 +90,17 @@ struct Entry<'a> {
 /// What all rays together do.
 #[derive(Clone, Copy)]
 struct Work {
-    counts: Counts,
+    counts: TraversalCounts,
     /// Of the steps of lanes in groups of 32, those not spent waiting for the group's last. A step is a node or a triangle.
     lockstep_efficiency: f64,
 }
 
 impl Work {
     /// Asks the kernel.
-    fn of(arrays: &DeviceArrays, rays: &[Ray], kind: RayKind, layout: Layout) -> Self {
+    fn of(arrays: &DeviceArrays, rays: &[RayRecord], kind: RayKind, layout: Traversal) -> Self {
         const LANES: usize = 32;
-        let kernel = Emulated::default().with_layout(layout);
-        let count = |ray: &Ray| {
+        let kernel = Emulated::default().with_traversal(layout);
+        let count = |ray: &RayRecord| {
             let ray = std::slice::from_ref(ray);
             if kind.is_any_hit() {
                 kernel.count_any_hits(arrays, ray, NONE)
@@ -108,11 +108,11 @@ impl Work {
                 kernel.count_closest_hits(arrays, ray, NONE)
             }
         };
-        let counts: Vec<Counts> = rays.par_iter().map(count).collect();
-        let steps = |counts: &Counts| counts.nodes + counts.triangles;
-        let slowest = |group: &[Counts]| group.iter().map(steps).max().unwrap_or(0);
+        let counts: Vec<TraversalCounts> = rays.par_iter().map(count).collect();
+        let steps = |counts: &TraversalCounts| counts.nodes + counts.triangles;
+        let slowest = |group: &[TraversalCounts]| group.iter().map(steps).max().unwrap_or(0);
         let lane_steps = LANES as u64 * counts.chunks(LANES).map(slowest).sum::<u64>();
-        let mut sum = Counts::default();
+        let mut sum = TraversalCounts::default();
         counts.into_iter().for_each(|counts| sum += counts);
         Self { counts: sum, lockstep_efficiency: steps(&sum) as f64 / lane_steps.max(1) as f64 }
     }
@@ -137,7 +137,7 @@ fn measure_scene(
         let mut entries = Vec::new();
         for (how, layout, is_paper) in LAYOUTS {
             let arrays = if is_paper { &paper } else { scene.arrays() };
-            let runner = Traced::new(Emulated::default().with_layout(layout), &pools[0], arrays, rays, kind);
+            let runner = Traced::new(Emulated::default().with_traversal(layout), &pools[0], arrays, rays, kind);
             let work = Some(Work::of(arrays, rays, kind, layout));
             entries.push(Entry { name: format!("emulated, {how}"), runner: Box::new(runner), work });
         }
@@ -178,7 +178,7 @@ fn open_gpus(options: &Options, paper: &mut DeviceArrays, scene: &mut BenchScene
     opened.unwrap_or_default()
 }
 
-fn cpu<'a>(pool: &'a ThreadPool, arrays: &'a DeviceArrays, rays: &'a [Ray], kind: RayKind) -> Entry<'a> {
+fn cpu<'a>(pool: &'a ThreadPool, arrays: &'a DeviceArrays, rays: &'a [RayRecord], kind: RayKind) -> Entry<'a> {
     let threads = pool.current_num_threads();
     let name = if threads == 1 { "cpu, 1 thread".to_owned() } else { format!("cpu, {threads} threads") };
     Entry { name, runner: Box::new(Traced::new(Cpu::default(), pool, arrays, rays, kind)), work: None }
@@ -195,7 +195,7 @@ fn add_row(
 ) {
     let rays = truth.len() as f64;
     let differences = Differences::between(truth, &entry.runner.answers());
-    let a_ray = |count: fn(&Counts) -> u64, decimals: usize| {
+    let a_ray = |count: fn(&TraversalCounts) -> u64, decimals: usize| {
         entry.work.map_or(String::new(), |work| format!("{:.decimals$}", count(&work.counts) as f64 / rays))
     };
     report.row([

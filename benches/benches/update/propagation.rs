@@ -75,7 +75,7 @@ impl Propagation for Ropewalk {
     }
 
     fn world(&mut self, node: usize) -> DVec3 {
-        self.scene.world(self.nodes[node]).expect("the node is there").translation
+        self.scene.world_from_local(self.nodes[node]).expect("the node is there").translation
     }
 }
 

@@ -7,7 +7,7 @@ use ropewalk::accel::TlasUpdate;
 use ropewalk::compile::Compiler;
 use ropewalk::device::{DeviceArrays, DeviceBuffer};
 use ropewalk::graph::Switch;
-use ropewalk::{Core, Geometry, GeometryKey, Keep, Material, MaterialKey, NodeKey, Scene};
+use ropewalk::{Core, Geometry, GeometryKey, KeepTransform, Material, MaterialKey, NodeKey, Scene};
 
 use crate::propagation::transform;
 use crate::shape::{HUMANOID, Pose, Shape, choose};
@@ -154,7 +154,7 @@ impl Compiled {
                 for &joint in chosen {
                     // From one humanoid to the next.
                     let below = (joint - joint % HUMANOID + HUMANOID) % self.joints.len();
-                    scene.reparent(self.boxes[joint], self.joints[below], Keep::Local)?;
+                    scene.reparent(self.boxes[joint], self.joints[below], KeepTransform::Local)?;
                 }
             }
             Edit::Swap => {

@@ -117,8 +117,8 @@ fn any(t_far: f32) -> f32 {
     any_answer(t_far < 0.0)
 }
 
-impl From<&layout::Ray> for Ray {
-    fn from(ray: &layout::Ray) -> Self {
+impl From<&layout::RayRecord> for Ray {
+    fn from(ray: &layout::RayRecord) -> Self {
         Self {
             origin: ray.origin,
             t_near: ray.t_min,
@@ -147,10 +147,10 @@ impl From<Ray> for RayHit {
     }
 }
 
-impl From<&[layout::Ray]> for Ray16 {
+impl From<&[layout::RayRecord]> for Ray16 {
     /// At most 16, at least one: lanes beyond repeat the first.
-    fn from(rays: &[layout::Ray]) -> Self {
-        let lanes: [&layout::Ray; 16] = std::array::from_fn(|lane| rays.get(lane).unwrap_or(&rays[0]));
+    fn from(rays: &[layout::RayRecord]) -> Self {
+        let lanes: [&layout::RayRecord; 16] = std::array::from_fn(|lane| rays.get(lane).unwrap_or(&rays[0]));
         Self {
             origin: std::array::from_fn(|axis| lanes.map(|ray| ray.origin[axis])),
             t_near: lanes.map(|ray| ray.t_min),

@@ -5,9 +5,9 @@ use std::collections::{BTreeMap, HashSet};
 use glam::Vec3;
 use rayon::prelude::*;
 use ropewalk::Geometry;
-use ropewalk::accel::{Blas, BuildParams};
+use ropewalk::accel::{Blas, BlasBuildParams};
 use ropewalk::device::DeviceArrays;
-use ropewalk::device::layout::{Instance, NONE, Node, Ray, Triangle};
+use ropewalk::device::layout::{InstanceRecord, NONE, Node, RayRecord, Triangle};
 
 use super::{Counts, Layout, SlabRay, Tree, Walk};
 use crate::rays::meet;
@@ -64,7 +64,7 @@ impl<'a> LayoutScene<'a> {
     }
 
     /// Traces every ray. For each how far it got: infinity for a miss, 0 for any hit.
-    pub fn trace(&self, rays: &[Ray], is_any_hit: bool) -> (Vec<f32>, Totals) {
+    pub fn trace(&self, rays: &[RayRecord], is_any_hit: bool) -> (Vec<f32>, Totals) {
         let traced: Vec<(f32, Counts)> = rays
             .par_iter()
             .with_min_len(LANES)
@@ -92,7 +92,7 @@ impl<'a> LayoutScene<'a> {
         (traced.into_iter().map(|(t, _)| t).collect(), totals)
     }
 
-    fn trace_ray(&self, ray: &Ray, is_any_hit: bool, counts: &mut Counts) -> f32 {
+    fn trace_ray(&self, ray: &RayRecord, is_any_hit: bool, counts: &mut Counts) -> f32 {
         let [origin, direction] = [ray.origin, ray.direction].map(Vec3::from_array);
         let world = SlabRay::new(origin, direction);
         let mut leaf = |instance: u32, _: u32, t_max: f32, counts: &mut Counts| {
@@ -109,7 +109,7 @@ impl<'a> LayoutScene<'a> {
 
     fn trace_instance(
         &self,
-        instance: &Instance,
+        instance: &InstanceRecord,
         origin: Vec3,
         direction: Vec3,
         t_max: f32,
@@ -121,7 +121,7 @@ impl<'a> LayoutScene<'a> {
         let turn = |v: Vec3| Vec3::from_array(rows.map(|[x, y, z, _]| Vec3::new(x, y, z).dot(v)));
         let origin = turn(origin) + Vec3::from_array(rows.map(|row| row[3]));
         let direction = turn(direction);
-        let local = Ray { origin: origin.to_array(), t_min: 0.0, direction: direction.to_array(), t_max };
+        let local = RayRecord { origin: origin.to_array(), t_min: 0.0, direction: direction.to_array(), t_max };
         let mut leaf = |first: u32, count: u32, mut t_max: f32, counts: &mut Counts| {
             for triangle in &structure.triangles[first as usize..][..count as usize] {
                 counts.triangles += 1;
@@ -165,7 +165,7 @@ pub fn paper_arrays(arrays: &DeviceArrays) -> ropewalk::Result<DeviceArrays> {
             None => {
                 let start = (nodes.len() as u32, triangles.len() as u32);
                 let originals = each_once(bottom_level(arrays, instance).1);
-                let blas = Blas::build(&geometry(&originals), &BuildParams::PAPER)?;
+                let blas = Blas::build(&geometry(&originals), &BlasBuildParams::PAPER)?;
                 nodes.extend(blas.nodes);
                 triangles.extend(blas.triangles.iter().map(|triangle| originals[triangle.primitive as usize]));
                 starts.insert(instance.first_node, start);
@@ -181,9 +181,9 @@ pub fn paper_arrays(arrays: &DeviceArrays) -> ropewalk::Result<DeviceArrays> {
 }
 
 /// The nodes and triangles of an instance's structure.
-fn bottom_level<'a>(arrays: &'a DeviceArrays, instance: &Instance) -> (&'a [Node], Vec<Triangle>) {
+fn bottom_level<'a>(arrays: &'a DeviceArrays, instance: &InstanceRecord) -> (&'a [Node], Vec<Triangle>) {
     let nodes = &arrays.blas_nodes[instance.first_node as usize..];
-    let is_last = |node: &Node| node.primitives.count() > 0 && node.escape_index == NONE;
+    let is_last = |node: &Node| node.primitives.primitive_count() > 0 && node.escape_index == NONE;
     let count = nodes.iter().position(is_last).map_or(0, |last| last + 1);
     let triangles = &arrays.triangles[instance.first_triangle as usize..];
     let triangle_count = leaves(nodes).map(|(first, count)| first + count).max().unwrap_or(0);

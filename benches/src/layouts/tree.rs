@@ -58,8 +58,11 @@ impl Tree {
                 tree.0.push(TreeNode { aabb, content: Content::Inner([0; 2]) });
                 pending.push(Siblings { first: next, end, place: Some((index, 1)) });
                 pending.push(Siblings { first, end: next, place: Some((index, 0)) });
-            } else if node.primitives.count() > 0 {
-                let content = Content::Leaf { first: node.primitives.first(), count: node.primitives.count() };
+            } else if node.primitives.primitive_count() > 0 {
+                let content = Content::Leaf {
+                    first: node.primitives.first_primitive(),
+                    count: node.primitives.primitive_count(),
+                };
                 tree.0.push(TreeNode { aabb: corners(node), content });
             } else {
                 // One node: the pair of its children has its box.

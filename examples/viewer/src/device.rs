@@ -39,7 +39,7 @@ fn shared(window: &WindowDevice) -> Result<Opened> {
 
 fn own(device: DeviceChoice) -> Result<Opened> {
     let renderer = Renderer::new(&RendererOptions { device })?;
-    let fallback = renderer.fallback().map(str::to_owned);
+    let fallback = renderer.fallback_reason().map(str::to_owned);
     Ok(Opened { renderer, fallback })
 }
 

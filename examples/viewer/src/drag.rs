@@ -52,7 +52,8 @@ impl Drag {
     /// Takes hold of a transform node at a point of the world, seen along `normal`.
     pub(crate) fn begin(scene: &Scene, node: NodeKey, anchor: DVec3, normal: DVec3) -> ropewalk::Result<Option<Self>> {
         let start = scene.local(node)?;
-        let parent_world = scene.parent(node)?.map_or(Ok(DAffine3::IDENTITY), |parent| scene.world(parent))?;
+        let parent_world =
+            scene.parent(node)?.map_or(Ok(DAffine3::IDENTITY), |parent| scene.world_from_local(parent))?;
         let parent_from_world = parent_world.matrix3.inverse();
         let usable = parent_from_world.is_finite();
         Ok(usable.then_some(Self { node, start, parent_from_world, anchor, normal }))
@@ -127,11 +128,11 @@ mod tests {
         let projection = Projection::of(&view);
         let grab = projection.ray(dvec2(140.0, 90.0));
         let anchor = grab.origin + grab.direction * 6.0;
-        let in_child = scene.world(child).unwrap().inverse().transform_point3(anchor);
+        let in_child = scene.world_from_local(child).unwrap().inverse().transform_point3(anchor);
         let drag = Drag::begin(&scene, child, anchor, projection.forward()).unwrap().unwrap();
         for target in [dvec2(140.0, 90.0), dvec2(10.0, 5.0), dvec2(280.5, 190.0)] {
             scene.set_local(child, drag.to(projection.ray(target), None).unwrap()).unwrap();
-            let now = scene.world(child).unwrap().transform_point3(in_child);
+            let now = scene.world_from_local(child).unwrap().transform_point3(in_child);
             assert!(seen_at(&projection, now).distance(target) < 1e-6, "{target}");
         }
     }
@@ -141,7 +142,7 @@ mod tests {
         let (mut scene, [parent, _, _]) = scene();
         let view = View::look_at(dvec3(4.0, 5.0, 9.0), dvec3(1.0, 2.0, 3.0), DVec3::Y, Camera::default(), 300, 200);
         let projection = Projection::of(&view);
-        let anchor = scene.world(parent).unwrap().translation;
+        let anchor = scene.world_from_local(parent).unwrap().translation;
         let drag = Drag::begin(&scene, parent, anchor, projection.forward()).unwrap().unwrap();
         for (axis, free) in [(Axis::X, 0), (Axis::Y, 1), (Axis::Z, 2)] {
             // A pointer at another point of the axis takes the anchor there.
@@ -149,7 +150,7 @@ mod tests {
             wanted[free] += 0.8;
             let ray = projection.ray(seen_at(&projection, wanted));
             scene.set_local(parent, drag.to(ray, Some(axis)).unwrap()).unwrap();
-            assert!(scene.world(parent).unwrap().translation.distance(wanted) < 1e-9, "{axis:?}");
+            assert!(scene.world_from_local(parent).unwrap().translation.distance(wanted) < 1e-9, "{axis:?}");
         }
     }
 

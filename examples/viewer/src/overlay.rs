@@ -64,7 +64,7 @@ fn lines(report: &FrameReport, detail: Option<Detail>) -> Vec<String> {
     vec![
         format!("{} · {name}", report.device.executor),
         rays,
-        format!("{} instances · {} triangles", grouped(compile.instances), grouped(compile.scene_triangles)),
+        format!("{} instances · {} triangles", grouped(compile.instances), grouped(compile.instanced_triangles)),
         format!("top level {}", compile.tlas),
         format!(
             "bottom level: {} built, {} refitted of {}",

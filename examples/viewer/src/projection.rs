@@ -111,7 +111,7 @@ mod tests {
         let shift = vec2(0.3, -0.2);
         let wide = Camera::Perspective { y_fov: 0.8, aspect: Some(3.0), shift };
         let flat = Camera::orthographic(2.0, 1.0);
-        [Camera::default(), wide, flat, flat.shifted(shift)]
+        [Camera::default(), wide, flat, flat.with_lens_shift(shift)]
             .map(|camera| View::look_at(eye, target, DVec3::Y, camera, 320, 200))
     }
 

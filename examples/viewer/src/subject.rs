@@ -55,7 +55,7 @@ impl Subject {
             Some(path) => {
                 let root = scene.root();
                 let import = gltf::import(path, &mut scene, root).map_err(|error| error.to_string())?;
-                (Sky::default(), import.not_honoured.len())
+                (Sky::default(), import.warnings.len())
             }
             None => {
                 builtin::build(&mut scene).map_err(|error| format!("the built-in scene: {error}"))?;

@@ -3,7 +3,7 @@
 use std::collections::HashSet;
 
 use egui::{Align2, Color32, FontId, Rect, Response, ScrollArea, Sense, TextEdit, Ui, pos2, vec2};
-use ropewalk::{Change, Changes, Core, Cursor, NodeKey, Object, Scene};
+use ropewalk::{Change, ChangeCursor, Changes, Core, NodeKey, ObjectKey, Scene};
 
 use crate::app::App;
 use crate::edit::Edit;
@@ -21,7 +21,7 @@ pub(crate) struct TreePanel {
     filter: String,
     rows: Vec<Row>,
     /// Tells when the rows have to be listed anew.
-    cursor: Cursor,
+    cursor: ChangeCursor,
     /// What the rows were listed for.
     listed_filter: String,
     is_stale: bool,
@@ -176,8 +176,8 @@ fn eye_button(ui: &Ui, rect: Rect, node: NodeKey, is_visible: bool, is_near: boo
 }
 
 /// Whether a change may add, remove or move rows.
-fn reshapes((object, change): &(Object, Change)) -> bool {
-    matches!(object, Object::Node(_)) && change.intersects(Change::ADDED | Change::REMOVED | Change::PARENT)
+fn reshapes((object, change): &(ObjectKey, Change)) -> bool {
+    matches!(object, ObjectKey::Node(_)) && change.intersects(Change::ADDED | Change::REMOVED | Change::PARENT)
 }
 
 /// The expanded part of the tree, in preorder. O(rows).
@@ -203,7 +203,7 @@ fn found(scene: &Scene, text: &str) -> Vec<Row> {
         let kind = scene.core(*node).map_or("", Core::kind);
         scene.name(*node).is_ok_and(|name| name.to_lowercase().contains(&text) || name.is_empty() && kind == text)
     };
-    let nodes = scene.descendants(scene.root()).into_iter().flatten();
+    let nodes = scene.subtree(scene.root()).into_iter().flatten();
     nodes.filter(matches).map(|node| Row { node, depth: 0 }).collect()
 }
 
@@ -233,9 +233,9 @@ mod tests {
         assert_eq!(tree(&scene, &HashSet::new()).len(), 1);
         assert_eq!(tree(&scene, &HashSet::from([scene.root()])).len(), 3);
 
-        let all: HashSet<_> = scene.descendants(scene.root()).unwrap().collect();
+        let all: HashSet<_> = scene.subtree(scene.root()).unwrap().collect();
         let rows = tree(&scene, &all);
-        assert!(rows.iter().map(|row| row.node).eq(scene.descendants(scene.root()).unwrap()));
+        assert!(rows.iter().map(|row| row.node).eq(scene.subtree(scene.root()).unwrap()));
         assert_eq!(rows.last(), Some(&Row { node: chain[100_000], depth: 100_000 }));
     }
 

@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use egui_wgpu::{RendererOptions, ScreenDescriptor};
-use ropewalk::trace::gpu::{required_limits, wanted_features};
+use ropewalk::trace::gpu::{optional_features, required_limits};
 use winit::dpi::PhysicalSize;
 
 use crate::device::WindowDevice;
@@ -48,7 +48,7 @@ impl Window {
         .map_err(|error| format!("no GPU, or software for one, can draw to a window here: {error}"))?;
         let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
             label: Some("viewer"),
-            required_features: wanted_features(&adapter),
+            required_features: optional_features(&adapter),
             required_limits: required_limits(&adapter),
             ..Default::default()
         }))

@@ -6,9 +6,9 @@ use glam::{Vec3, Vec4, Vec4Swizzles};
 use rayon::prelude::*;
 
 use super::refit_wide::{refit_wide, triangle_bounds};
-use crate::accel::padding::padded_lanes;
+use crate::accel::padding::pad_bounds;
 use crate::accel::stats::half_area;
-use crate::accel::tree::LaneBox;
+use crate::accel::tree::SimdAabb;
 use crate::device::layout::{NONE, Node, Triangle, WideNode};
 use crate::graph::Geometry;
 use crate::math::Aabb;
@@ -18,10 +18,10 @@ const TASK_SIZE: usize = 1 << 11;
 
 /// What became of a structure.
 #[derive(Clone, Debug)]
-pub(crate) struct Refitted {
+pub(crate) struct RefitReport {
     /// The box around the triangles, not padded.
     pub(crate) bounds: Aabb,
-    /// The [cost](crate::accel::Stats::sah_cost) that the structure had.
+    /// The [cost](crate::accel::BvhStats::sah_cost) that the structure had.
     pub(crate) old_cost: f64,
     /// And the one that it has now.
     pub(crate) cost: f64,
@@ -45,24 +45,24 @@ pub(crate) fn refit(
     triangles: &mut [Triangle],
     geometry: &Geometry,
     triangle_cost: f32,
-) -> Option<Refitted> {
-    if triangles.len() != geometry.indices.len() && triangles.len() != count_with_area(geometry) {
+) -> Option<RefitReport> {
+    if triangles.len() != geometry.indices.len() && triangles.len() != count_non_degenerate(geometry) {
         return None;
     }
     // 1. Subtrees, side by side, each with its triangles.
     let node_count = nodes.len();
     let old_root = nodes.first().map_or(1.0, half_area);
-    let (upper, ranges) = split(nodes);
+    let (upper, ranges) = find_refit_tasks(nodes);
     let tasks = tasks(nodes, triangles, ranges);
-    let subtrees: Vec<(Task<'_>, Subtree)> = tasks
+    let subtrees: Vec<(RefitTask<'_>, RefittedSubtree)> = tasks
         .into_par_iter()
         .map(|mut task| {
             let subtree = task.refit(geometry, node_count, triangle_cost)?;
             Some((task, subtree))
         })
         .collect::<Option<_>>()?;
-    let mut bounds = LaneBox::EMPTY;
-    let mut refitted = Refitted {
+    let mut bounds = SimdAabb::EMPTY;
+    let mut refitted = RefitReport {
         bounds: Aabb::EMPTY,
         old_cost: 0.0,
         cost: 0.0,
@@ -75,15 +75,18 @@ pub(crate) fn refit(
         refitted.old_cost += subtree.costs[0];
         refitted.cost += subtree.costs[1];
         if subtree.has_changed {
-            append(&mut refitted.changed_nodes, task.first_node..task.first_node + task.nodes.len());
-            append(&mut refitted.changed_triangles, task.first_triangle..task.first_triangle + task.triangles.len());
+            push_merging(&mut refitted.changed_nodes, task.first_node..task.first_node + task.nodes.len());
+            push_merging(
+                &mut refitted.changed_triangles,
+                task.first_triangle..task.first_triangle + task.triangles.len(),
+            );
         }
     }
     refitted.bounds = Aabb { min: bounds.min.xyz(), max: bounds.max.xyz() };
     // 2. What is above them.
     for index in upper.into_iter().rev() {
         let old = nodes[index];
-        let (bounds, children) = around_children(nodes, index, 0, node_count);
+        let (bounds, children) = children_bounds(nodes, index, 0, node_count);
         nodes[index] = with_bounds(&old, &bounds);
         refitted.old_cost += half_area(&old) * children;
         refitted.cost += half_area(&nodes[index]) * children;
@@ -103,7 +106,7 @@ pub(crate) fn refit(
 }
 
 /// Triangles that can be hit.
-fn count_with_area(geometry: &Geometry) -> usize {
+fn count_non_degenerate(geometry: &Geometry) -> usize {
     let has_area = |triangle: &&[u32; 3]| {
         let [a, b, c] = triangle.map(|v| geometry.positions[v as usize]);
         a != b && b != c && c != a
@@ -112,10 +115,10 @@ fn count_with_area(geometry: &Geometry) -> usize {
 }
 
 /// The inner nodes above subtrees of some size, and these; both ascending.
-fn split(nodes: &[Node]) -> (Vec<usize>, Vec<Range<usize>>) {
+fn find_refit_tasks(nodes: &[Node]) -> (Vec<usize>, Vec<Range<usize>>) {
     let (mut upper, mut subtrees, mut index) = (Vec::new(), Vec::new(), 0);
     while index < nodes.len() {
-        let end = end(&nodes[index], nodes.len());
+        let end = subtree_end(&nodes[index], nodes.len());
         if end - index > TASK_SIZE {
             upper.push(index);
             index += 1;
@@ -128,7 +131,7 @@ fn split(nodes: &[Node]) -> (Vec<usize>, Vec<Range<usize>>) {
 }
 
 /// A subtree with its triangles, which lie beside each other as its leaves do.
-struct Task<'a> {
+struct RefitTask<'a> {
     nodes: &'a mut [Node],
     first_node: usize,
     triangles: &'a mut [Triangle],
@@ -139,12 +142,12 @@ fn tasks<'a>(
     mut nodes: &'a mut [Node],
     mut triangles: &'a mut [Triangle],
     subtrees: Vec<Range<usize>>,
-) -> Vec<Task<'a>> {
+) -> Vec<RefitTask<'a>> {
     let triangle_count = triangles.len();
     // A subtree's first leaf is where the first children lead.
     let first_triangle = |subtree: &Range<usize>| {
-        let leaf = nodes[subtree.start..].iter().find(|node| node.primitives.count() > 0);
-        leaf.map_or(triangle_count, |leaf| leaf.primitives.first() as usize)
+        let leaf = nodes[subtree.start..].iter().find(|node| node.primitives.primitive_count() > 0);
+        leaf.map_or(triangle_count, |leaf| leaf.primitives.first_primitive() as usize)
     };
     let starts: Vec<usize> = subtrees.iter().map(first_triangle).chain([triangle_count]).collect();
     let mut node_start = 0;
@@ -155,7 +158,7 @@ fn tasks<'a>(
         (nodes, node_start) = (rest, subtree.end);
         let (of_triangles, rest) = std::mem::take(&mut triangles).split_at_mut(starts[1] - starts[0]);
         triangles = rest;
-        tasks.push(Task {
+        tasks.push(RefitTask {
             nodes: of_nodes,
             first_node: subtree.start,
             triangles: of_triangles,
@@ -166,28 +169,29 @@ fn tasks<'a>(
 }
 
 /// What became of a subtree.
-struct Subtree {
-    bounds: LaneBox,
+struct RefittedSubtree {
+    bounds: SimdAabb,
     /// Old and new; in units of area.
     costs: [f64; 2],
     has_changed: bool,
 }
 
-impl Task<'_> {
+impl RefitTask<'_> {
     /// `None` where a triangle has two equal corners.
-    fn refit(&mut self, geometry: &Geometry, node_count: usize, triangle_cost: f32) -> Option<Subtree> {
-        let mut subtree = Subtree { bounds: LaneBox::EMPTY, costs: [0.0; 2], has_changed: self.fetch(geometry)? };
+    fn refit(&mut self, geometry: &Geometry, node_count: usize, triangle_cost: f32) -> Option<RefittedSubtree> {
+        let mut subtree =
+            RefittedSubtree { bounds: SimdAabb::EMPTY, costs: [0.0; 2], has_changed: self.update_triangles(geometry)? };
         // Children before parents.
         for index in (0..self.nodes.len()).rev() {
             let node = self.nodes[index];
-            let count = node.primitives.count();
+            let count = node.primitives.primitive_count();
             let (bounds, fetches) = if count > 0 {
-                let first = node.primitives.first() as usize - self.first_triangle;
+                let first = node.primitives.first_primitive() as usize - self.first_triangle;
                 let bounds = triangle_bounds(&self.triangles[first..first + count as usize]);
                 subtree.bounds = subtree.bounds.union(bounds);
-                (padded_lanes(bounds), f64::from(count) * f64::from(triangle_cost))
+                (pad_bounds(bounds), f64::from(count) * f64::from(triangle_cost))
             } else {
-                around_children(self.nodes, index, self.first_node, node_count)
+                children_bounds(self.nodes, index, self.first_node, node_count)
             };
             let new = with_bounds(&node, &bounds);
             self.nodes[index] = new;
@@ -198,7 +202,7 @@ impl Task<'_> {
     }
 
     /// Puts the triangles where those of `geometry` are. Whether any of them moved; `None` as [`refit`](Self::refit).
-    fn fetch(&mut self, geometry: &Geometry) -> Option<bool> {
+    fn update_triangles(&mut self, geometry: &Geometry) -> Option<bool> {
         let (mut difference, mut is_whole, mut zero) = (0, true, Vec3::ZERO);
         for triangle in &mut *self.triangles {
             let corners = geometry.indices.get(triangle.primitive as usize)?;
@@ -216,13 +220,13 @@ impl Task<'_> {
 }
 
 /// The box around an inner node's children, and how many these are. `nodes` start at `first` of the whole array.
-fn around_children(nodes: &[Node], index: usize, first: usize, node_count: usize) -> (LaneBox, f64) {
-    let (mut bounds, mut children) = (LaneBox::EMPTY, 0.0);
-    let end_of = |node: &Node| end(node, node_count) - first;
+fn children_bounds(nodes: &[Node], index: usize, first: usize, node_count: usize) -> (SimdAabb, f64) {
+    let (mut bounds, mut children) = (SimdAabb::EMPTY, 0.0);
+    let end_of = |node: &Node| subtree_end(node, node_count) - first;
     let (mut child, end) = (index + 1, end_of(&nodes[index]));
     while child < end {
         let [min, max] = bytemuck::cast::<_, [Vec4; 2]>(nodes[child]);
-        bounds = bounds.union(LaneBox { min, max });
+        bounds = bounds.union(SimdAabb { min, max });
         children += 1.0;
         child = end_of(&nodes[child]);
     }
@@ -231,18 +235,18 @@ fn around_children(nodes: &[Node], index: usize, first: usize, node_count: usize
 
 /// A node with another box. What is in the fourth lanes of that does not matter.
 #[inline]
-fn with_bounds(node: &Node, bounds: &LaneBox) -> Node {
+fn with_bounds(node: &Node, bounds: &SimdAabb) -> Node {
     let [min, max] = bytemuck::cast::<_, [Vec4; 2]>(*node);
     bytemuck::cast([bounds.min.with_w(min.w), bounds.max.with_w(max.w)])
 }
 
 /// The index after a node's subtree.
-fn end(node: &Node, node_count: usize) -> usize {
+fn subtree_end(node: &Node, node_count: usize) -> usize {
     if node.escape_index == NONE { node_count } else { node.escape_index as usize }
 }
 
 /// Adds a range after the others, to the last one where they touch.
-fn append(ranges: &mut Vec<Range<usize>>, range: Range<usize>) {
+fn push_merging(ranges: &mut Vec<Range<usize>>, range: Range<usize>) {
     match ranges.last_mut() {
         Some(last) if last.end == range.start => last.end = range.end,
         _ => ranges.push(range),
@@ -252,9 +256,9 @@ fn append(ranges: &mut Vec<Range<usize>>, range: Range<usize>) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::accel::stats::Stats;
-    use crate::accel::validate::check_nodes;
-    use crate::accel::{Blas, BuildParams};
+    use crate::accel::stats::BvhStats;
+    use crate::accel::validate::validate_nodes;
+    use crate::accel::{Blas, BlasBuildParams};
 
     const COST: f32 = 1.5;
 
@@ -271,7 +275,7 @@ mod tests {
 
     /// The same hierarchy without some of its inner nodes, so that others have up to 2^5 children.
     fn thinned(nodes: &[Node]) -> Vec<Node> {
-        let stays = |(i, node): (usize, &Node)| i == 0 || node.primitives.count() > 0 || i % 5 == 0;
+        let stays = |(i, node): (usize, &Node)| i == 0 || node.primitives.primitive_count() > 0 || i % 5 == 0;
         let mut places = vec![0; nodes.len() + 1];
         for (i, node) in nodes.iter().enumerate() {
             places[i + 1] = places[i] + u32::from(stays((i, node)));
@@ -285,18 +289,18 @@ mod tests {
 
     #[test]
     fn nodes_of_many_children_and_costs() {
-        let blas = Blas::build(&sheet(0.0), &BuildParams::default()).unwrap();
+        let blas = Blas::build(&sheet(0.0), &BlasBuildParams::default()).unwrap();
         for mut nodes in [blas.nodes.clone(), thinned(&blas.nodes)] {
             let mut triangles = blas.triangles.clone();
-            let old_cost = Stats::of(&nodes, COST).sah_cost;
+            let old_cost = BvhStats::of(&nodes, COST).sah_cost;
             let refitted = refit(&mut nodes, &mut [], &mut triangles, &sheet(1.0), COST).unwrap();
-            let valid = check_nodes(&nodes, |range| {
-                let first = range.first() as usize;
-                let bounds = around(&triangles[first..first + range.count() as usize]);
+            let valid = validate_nodes(&nodes, |range| {
+                let first = range.first_primitive() as usize;
+                let bounds = triangle_bounds(&triangles[first..first + range.primitive_count() as usize]);
                 Some(Aabb { min: bounds.min.xyz(), max: bounds.max.xyz() })
             });
             assert_eq!(valid, Ok(()));
-            let cost = Stats::of(&nodes, COST).sah_cost;
+            let cost = BvhStats::of(&nodes, COST).sah_cost;
             assert!(cost > old_cost * 1.01, "{old_cost} to {cost}");
             assert!((refitted.old_cost / old_cost - 1.0).abs() < 1e-9, "{} {old_cost}", refitted.old_cost);
             assert!((refitted.cost / cost - 1.0).abs() < 1e-9, "{} {cost}", refitted.cost);
@@ -308,7 +312,7 @@ mod tests {
 
     #[test]
     fn only_what_changed_is_told() {
-        let mut blas = Blas::build(&sheet(0.0), &BuildParams::default()).unwrap();
+        let mut blas = Blas::build(&sheet(0.0), &BlasBuildParams::default()).unwrap();
         assert!(blas.refit(&sheet(0.0)));
         let before = blas.clone();
         let mut geometry = sheet(0.0);

@@ -6,7 +6,7 @@
 use super::SahParams;
 use super::binned_sah;
 use super::spatial_split::SpatialSplits;
-use crate::accel::tree::{BuildTree, Extent, Reference};
+use crate::accel::tree::{BuildTree, PrimitiveReference, ReferenceBounds};
 use crate::graph::Geometry;
 
 /// How many references spatial splits may add, as a share of the geometry's triangles: leaves then hold no more than twice as many.
@@ -14,7 +14,12 @@ use crate::graph::Geometry;
 const DUPLICATE_BUDGET: f32 = 1.0;
 
 /// Builds a kd-tree over references; `extent` is that of all of them. O(n log n).
-pub(super) fn build(geometry: &Geometry, references: Vec<Reference>, extent: &Extent, params: &SahParams) -> BuildTree {
+pub(super) fn build(
+    geometry: &Geometry,
+    references: Vec<PrimitiveReference>,
+    extent: &ReferenceBounds,
+    params: &SahParams,
+) -> BuildTree {
     let splits = SpatialSplits::new(geometry, extent, references.len(), DUPLICATE_BUDGET);
     let splits = splits.map(|splits| SpatialSplits { spatial_only: true, ..splits });
     binned_sah::build(references, extent, params, splits)

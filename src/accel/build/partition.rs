@@ -3,26 +3,30 @@
 use glam::Vec4;
 use rayon::prelude::*;
 
-use super::bins::{Bins, CHUNK, Split};
-use crate::accel::tree::{LaneBox, Reference};
+use super::object_bins::{CHUNK_SIZE, ObjectBins, ObjectSplit};
+use crate::accel::tree::{PrimitiveReference, SimdAabb};
 
 /// Moves the references to `target`, those left of the split first, both sides in their old order. Returns the boxes of
 /// both sides' centres.
-pub(super) fn partition(source: &[Reference], target: &mut [Reference], split: &Split) -> [LaneBox; 2] {
+pub(super) fn partition(
+    source: &[PrimitiveReference],
+    target: &mut [PrimitiveReference],
+    split: &ObjectSplit,
+) -> [SimdAabb; 2] {
     let (left, right) = target.split_at_mut(split.left_count);
     scatter(source, left, right, split)
 }
 
 /// The same by several threads: the bins of each chunk say how many references it sends to either side.
-pub(super) fn partition_chunks(
-    source: &[Reference],
-    target: &mut [Reference],
-    split: &Split,
-    chunks: &[Bins],
-) -> [LaneBox; 2] {
+pub(super) fn partition_parallel(
+    source: &[PrimitiveReference],
+    target: &mut [PrimitiveReference],
+    split: &ObjectSplit,
+    chunks: &[ObjectBins],
+) -> [SimdAabb; 2] {
     let (mut left, mut right) = target.split_at_mut(split.left_count);
     let mut pieces = Vec::with_capacity(chunks.len());
-    for (source, bins) in source.chunks(CHUNK).zip(chunks) {
+    for (source, bins) in source.chunks(CHUNK_SIZE).zip(chunks) {
         let left_count = bins.left_count(split);
         let left_piece = left.split_off_mut(..left_count).unwrap_or_default();
         let right_piece = right.split_off_mut(..source.len() - left_count).unwrap_or_default();
@@ -31,12 +35,17 @@ pub(super) fn partition_chunks(
     pieces
         .into_par_iter()
         .map(|(source, left, right)| scatter(source, left, right, split))
-        .reduce(|| [LaneBox::EMPTY; 2], |a, b| [a[0].union(b[0]), a[1].union(b[1])])
+        .reduce(|| [SimdAabb::EMPTY; 2], |a, b| [a[0].union(b[0]), a[1].union(b[1])])
 }
 
 /// Without a branch: which side a reference goes to is a coin toss that no processor predicts.
-fn scatter(source: &[Reference], left: &mut [Reference], right: &mut [Reference], split: &Split) -> [LaneBox; 2] {
-    let [mut left_centers, mut right_centers] = [LaneBox::EMPTY; 2];
+fn scatter(
+    source: &[PrimitiveReference],
+    left: &mut [PrimitiveReference],
+    right: &mut [PrimitiveReference],
+    split: &ObjectSplit,
+) -> [SimdAabb; 2] {
+    let [mut left_centers, mut right_centers] = [SimdAabb::EMPTY; 2];
     let mut next = [0; 2];
     let targets = [left, right];
     for reference in source {

@@ -6,12 +6,12 @@
 
 use rayon::prelude::*;
 
-use super::MAX_DEPTH;
-use crate::accel::tree::{BuildNode, BuildTree, Content, LaneBox, unit_scale};
+use super::MAX_BLAS_DEPTH;
+use crate::accel::tree::{BuildNode, BuildNodeContent, BuildTree, SimdAabb, normalizing_scale};
 
 /// How much is done.
 #[derive(Clone, Copy)]
-pub(super) struct Effort {
+pub(super) struct ReinsertionParams {
     /// How often all of it is done.
     pub(super) rounds: u32,
     /// Which part of the nodes is tried in each round, those with the largest surfaces: 0 to 1.
@@ -19,27 +19,28 @@ pub(super) struct Effort {
 }
 
 /// Moves subtrees. Leaves stay as they are, but for where they hang.
-pub(super) fn reinsert(tree: &mut BuildTree, effort: Effort) {
+pub(super) fn reinsert(tree: &mut BuildTree, effort: ReinsertionParams) {
     let Some(root) = tree.nodes.first() else { return };
-    let scale = unit_scale(&root.bounds());
-    let (parents, heights) = links(&tree.nodes);
-    let mut inserter = Inserter { nodes: &mut tree.nodes, parents, heights, scale };
+    let scale = normalizing_scale(&root.bounds());
+    let (parents, heights) = parents_and_heights(&tree.nodes);
+    let mut inserter = Reinserter { nodes: &mut tree.nodes, parents, heights, scale };
     for _ in 0..effort.rounds {
         let candidates = inserter.candidates(effort.share);
-        let mut moves: Vec<Move> = candidates.into_par_iter().filter_map(|node| inserter.search(node)).collect();
-        moves.par_sort_unstable_by(|a, b| b.gain.total_cmp(&a.gain).then(a.node.cmp(&b.node)));
+        let mut moves: Vec<Reinsertion> =
+            candidates.into_par_iter().filter_map(|node| inserter.find_best_position(node)).collect();
+        moves.par_sort_unstable_by(|a, b| b.area_saved.total_cmp(&a.area_saved).then(a.node.cmp(&b.node)));
         inserter.apply(&moves);
     }
 }
 
-/// The parent of each pair of siblings, see [`pair`], and the levels below each node. Builders put children after their parent.
-fn links(nodes: &[BuildNode]) -> (Vec<u32>, Vec<u8>) {
+/// The parent of each pair of siblings, see [`pair_index`], and the levels below each node. Builders put children after their parent.
+fn parents_and_heights(nodes: &[BuildNode]) -> (Vec<u32>, Vec<u8>) {
     let (mut parents, mut heights) = (vec![0; nodes.len() / 2], vec![0; nodes.len()]);
     for (index, node) in nodes.iter().enumerate().rev() {
-        if let Content::Children(child) = node.content()
+        if let BuildNodeContent::Children(child) = node.contents()
             && child > index
         {
-            parents[pair(child)] = index as u32;
+            parents[pair_index(child)] = index as u32;
             heights[index] = 1 + heights[child].max(heights[child + 1]);
         }
     }
@@ -47,7 +48,7 @@ fn links(nodes: &[BuildNode]) -> (Vec<u32>, Vec<u8>) {
 }
 
 /// Siblings stand at odd indices and those after them.
-fn pair(index: usize) -> usize {
+fn pair_index(index: usize) -> usize {
     (index - 1) / 2
 }
 
@@ -56,26 +57,26 @@ fn sibling(index: usize) -> usize {
 }
 
 /// A subtree, and the node that it is to become the sibling of.
-struct Move {
+struct Reinsertion {
     node: usize,
     target: usize,
     /// By how much the inner nodes' surfaces shrink.
-    gain: f32,
+    area_saved: f32,
 }
 
-struct Inserter<'a> {
+struct Reinserter<'a> {
     nodes: &'a mut [BuildNode],
     parents: Vec<u32>,
     heights: Vec<u8>,
     scale: f32,
 }
 
-impl Inserter<'_> {
+impl Reinserter<'_> {
     fn parent(&self, index: usize) -> usize {
-        self.parents[pair(index)] as usize
+        self.parents[pair_index(index)] as usize
     }
 
-    fn area(&self, bounds: LaneBox) -> f32 {
+    fn area(&self, bounds: SimdAabb) -> f32 {
         bounds.half_area(self.scale)
     }
 
@@ -95,7 +96,7 @@ impl Inserter<'_> {
 
     /// The best place for a subtree: branch and bound, first below its sibling, then further and further up. `None` if it is
     /// where it is.
-    fn search(&self, node: usize) -> Option<Move> {
+    fn find_best_position(&self, node: usize) -> Option<Reinsertion> {
         let bounds = self.nodes[node].bounds();
         let area = self.area(bounds);
         let parent = self.parent(node);
@@ -116,7 +117,7 @@ impl Inserter<'_> {
                 if gain_here > best {
                     (best, target) = (gain_here, index);
                 }
-                if let Content::Children(child) = there.content() {
+                if let BuildNodeContent::Children(child) = there.contents() {
                     let gain_below = gain_here + self.area(there.bounds());
                     if gain_below - area > best {
                         stack.extend([(gain_below, child), (gain_below, child + 1)]);
@@ -133,25 +134,25 @@ impl Inserter<'_> {
             (other, pivot) = (sibling(pivot), self.parent(pivot));
         }
         let moves = target != 0 && target != sibling(node) && target != parent;
-        moves.then_some(Move { node, target, gain: best })
+        moves.then_some(Reinsertion { node, target, area_saved: best })
     }
 
     /// Makes all moves that do not get in the way of one made before.
-    fn apply(&mut self, moves: &[Move]) {
+    fn apply(&mut self, moves: &[Reinsertion]) {
         let mut touched = vec![false; self.nodes.len()];
-        for &Move { node, target, .. } in moves {
+        for &Reinsertion { node, target, .. } in moves {
             let parent = self.parent(node);
             let involved = [node, sibling(node), parent, self.parent(parent.max(1)), target, self.parent(target)];
-            if involved.iter().any(|&index| touched[index]) || !self.is_possible(node, target) {
+            if involved.iter().any(|&index| touched[index]) || !self.is_valid(node, target) {
                 continue;
             }
             involved.iter().for_each(|&index| touched[index] = true);
-            self.apply_one(node, target);
+            self.reinsert_subtree(node, target);
         }
     }
 
     /// Whether the target has not come to lie below the subtree, and the tree would not become too deep.
-    fn is_possible(&self, node: usize, target: usize) -> bool {
+    fn is_valid(&self, node: usize, target: usize) -> bool {
         let (mut above, mut depth) = (target, 0);
         while above != 0 {
             if above == node {
@@ -160,31 +161,31 @@ impl Inserter<'_> {
             above = self.parent(above);
             depth += 1;
         }
-        depth + 2 + usize::from(self.heights[node].max(self.heights[target])) <= MAX_DEPTH
+        depth + 2 + usize::from(self.heights[node].max(self.heights[target])) <= MAX_BLAS_DEPTH
     }
 
     /// The parent's slot takes the sibling; the sibling's slot takes the target, so that both are a pair again; and the target's
     /// slot takes the node above that pair.
-    fn apply_one(&mut self, node: usize, target: usize) {
+    fn reinsert_subtree(&mut self, node: usize, target: usize) {
         let (parent, sibling) = (self.parent(node), sibling(node));
-        self.put(parent, sibling);
-        self.put(sibling, target);
-        self.parents[pair(node)] = target as u32;
-        self.refit(node);
-        self.refit(parent);
+        self.move_subtree(parent, sibling);
+        self.move_subtree(sibling, target);
+        self.parents[pair_index(node)] = target as u32;
+        self.refit_ancestors(node);
+        self.refit_ancestors(parent);
     }
 
     /// Moves what is in a slot, with all that is below, to another.
-    fn put(&mut self, to: usize, from: usize) {
+    fn move_subtree(&mut self, to: usize, from: usize) {
         self.nodes[to] = self.nodes[from];
         self.heights[to] = self.heights[from];
-        if let Content::Children(child) = self.nodes[to].content() {
-            self.parents[pair(child)] = to as u32;
+        if let BuildNodeContent::Children(child) = self.nodes[to].contents() {
+            self.parents[pair_index(child)] = to as u32;
         }
     }
 
     /// Brings all that is above a node up to date.
-    fn refit(&mut self, mut index: usize) {
+    fn refit_ancestors(&mut self, mut index: usize) {
         while index != 0 {
             let child = index - (index - 1) % 2;
             index = self.parent(index);

@@ -4,9 +4,9 @@
 use glam::{Vec4, Vec4Swizzles};
 use rayon::prelude::*;
 
-use super::bins::{CHUNK, PARALLEL_MINIMUM};
-use super::clip::{Corners, Halves, can_cut};
-use crate::accel::tree::{Extent, LaneBox, Reference};
+use super::object_bins::{CHUNK_SIZE, PARALLEL_BINNING_THRESHOLD};
+use super::triangle_clip::{ClippedBounds, TriangleClipper, can_clip};
+use crate::accel::tree::{PrimitiveReference, ReferenceBounds, SimdAabb};
 use crate::device::layout::PrimitiveRange;
 use crate::graph::Geometry;
 
@@ -24,19 +24,19 @@ pub(super) struct SpatialSplits<'a> {
 impl<'a> SpatialSplits<'a> {
     /// A budget of `share` for each of `count` references, for trees that also divide by primitives. `None` where the rounding
     /// of clipped boxes cannot be bounded: near the limits of f32.
-    pub(super) fn new(geometry: &'a Geometry, extent: &Extent, count: usize, share: f32) -> Option<Self> {
+    pub(super) fn new(geometry: &'a Geometry, extent: &ReferenceBounds, count: usize, share: f32) -> Option<Self> {
         let most = PrimitiveRange::MAX_FIRST as usize - count;
         let duplicate_budget = ((count as f32 * share) as usize).min(most);
-        can_cut(&extent.aabb()).then_some(Self { geometry, duplicate_budget, spatial_only: false })
+        can_clip(&extent.aabb()).then_some(Self { geometry, duplicate_budget, spatial_only: false })
     }
 }
 
 /// The most slices along an axis.
-const MAX_SLICES: usize = 32;
+const MAX_SPATIAL_BINS: usize = 32;
 
 /// Equal slices of a node's box, along each axis.
 #[derive(Clone, Copy)]
-struct Slices {
+struct SpatialBins {
     origin: Vec4,
     width: Vec4,
     /// 1 over `width`; 0 on an axis along which the box cannot be cut.
@@ -44,9 +44,9 @@ struct Slices {
     count: usize,
 }
 
-impl Slices {
-    fn new(bounds: &LaneBox, primitive_count: usize) -> Self {
-        let count = (4 + primitive_count / 8).min(MAX_SLICES);
+impl SpatialBins {
+    fn new(bounds: &SimdAabb, primitive_count: usize) -> Self {
+        let count = (4 + primitive_count / 8).min(MAX_SPATIAL_BINS);
         let width = (bounds.max - bounds.min) / count as f32;
         let invert = |width: f32| {
             let scale = 1.0 / width;
@@ -71,36 +71,41 @@ impl Slices {
 
 /// The plane of least cost that leaves some primitives on either side, where both sides together have no more than `capacity`.
 /// `scale` makes the node about one unit long.
-pub(super) fn find_split(
+pub(super) fn find_spatial_split(
     geometry: &Geometry,
-    references: &[Reference],
-    bounds: &LaneBox,
+    references: &[PrimitiveReference],
+    bounds: &SimdAabb,
     capacity: usize,
     scale: f32,
 ) -> Option<SpatialSplit> {
     // 1. How many there are on either side of each plane: cheap, and often there is no plane to go on with.
-    let slices = Slices::new(bounds, references.len());
-    let counts = sum(references, |chunk| Counts::of(chunk, &slices), Counts::add);
+    let slices = SpatialBins::new(bounds, references.len());
+    let counts = reduce_references(references, |chunk| EntryExitCounts::of(chunk, &slices), EntryExitCounts::add);
     let fits = |[left, right]: [usize; 2]| {
         left.min(right) > 0 && left.max(right) < references.len() && left + right <= capacity
     };
-    let axes = [0, 1, 2].map(|axis| slices.scale[axis] > 0.0 && counts.sides(axis, slices.count).any(|(_, n)| fits(n)));
+    let axes =
+        [0, 1, 2].map(|axis| slices.scale[axis] > 0.0 && counts.side_counts(axis, slices.count).any(|(_, n)| fits(n)));
     if axes == [false; 3] {
         return None;
     }
     // 2. Their boxes.
-    let boxes = sum(references, |chunk| Boxes::of(geometry, chunk, &slices, axes), Boxes::union);
+    let boxes = reduce_references(
+        references,
+        |chunk| SpatialBinBounds::of(geometry, chunk, &slices, axes),
+        SpatialBinBounds::union,
+    );
     // 3. The best plane.
     let mut best: Option<SpatialSplit> = None;
     for axis in (0..3).filter(|&axis| axes[axis]) {
-        let rights = boxes.rights(axis, slices.count);
-        let mut left = LaneBox::EMPTY;
-        for (slice, counts) in counts.sides(axis, slices.count) {
+        let rights = boxes.right_bounds(axis, slices.count);
+        let mut left = SimdAabb::EMPTY;
+        for (slice, counts) in counts.side_counts(axis, slices.count) {
             left = left.union(boxes.0[axis][slice - 1]);
             let bounds = [left, rights[slice]];
             let cost = (0..2).map(|side| bounds[side].half_area(scale) * counts[side] as f32).sum();
             if fits(counts) && best.as_ref().is_none_or(|best| cost < best.cost) {
-                best = Some(SpatialSplit { axis, slice, slices, cost, counts, bounds });
+                best = Some(SpatialSplit { axis, first_right_bin: slice, slices, cost, counts, bounds });
             }
         }
     }
@@ -108,22 +113,26 @@ pub(super) fn find_split(
 }
 
 /// Of all references, by several threads where they are many.
-fn sum<T: Send>(references: &[Reference], of: impl Fn(&[Reference]) -> T + Sync, add: impl Fn(T, T) -> T + Sync) -> T {
-    if references.len() < PARALLEL_MINIMUM {
+fn reduce_references<T: Send>(
+    references: &[PrimitiveReference],
+    of: impl Fn(&[PrimitiveReference]) -> T + Sync,
+    add: impl Fn(T, T) -> T + Sync,
+) -> T {
+    if references.len() < PARALLEL_BINNING_THRESHOLD {
         return of(references);
     }
-    references.par_chunks(CHUNK).map(&of).reduce(|| of(&[]), &add)
+    references.par_chunks(CHUNK_SIZE).map(&of).reduce(|| of(&[]), &add)
 }
 
 /// How many primitives begin and end in each slice, along each axis.
-struct Counts {
-    entries: [[u32; MAX_SLICES]; 3],
-    exits: [[u32; MAX_SLICES]; 3],
+struct EntryExitCounts {
+    entries: [[u32; MAX_SPATIAL_BINS]; 3],
+    exits: [[u32; MAX_SPATIAL_BINS]; 3],
 }
 
-impl Counts {
-    fn of(references: &[Reference], slices: &Slices) -> Self {
-        let mut counts = Self { entries: [[0; MAX_SLICES]; 3], exits: [[0; MAX_SLICES]; 3] };
+impl EntryExitCounts {
+    fn of(references: &[PrimitiveReference], slices: &SpatialBins) -> Self {
+        let mut counts = Self { entries: [[0; MAX_SPATIAL_BINS]; 3], exits: [[0; MAX_SPATIAL_BINS]; 3] };
         for reference in references {
             let bounds = reference.bounds();
             let (first, last) = (slices.of(bounds.min), slices.of(bounds.max));
@@ -145,7 +154,7 @@ impl Counts {
     }
 
     /// For the plane before each slice but the first: the slice, and how many primitives there are left and right of the plane.
-    fn sides(&self, axis: usize, slice_count: usize) -> impl Iterator<Item = (usize, [usize; 2])> {
+    fn side_counts(&self, axis: usize, slice_count: usize) -> impl Iterator<Item = (usize, [usize; 2])> {
         let mut right: usize = self.exits[axis].iter().map(|&count| count as usize).sum();
         let mut left = 0;
         (1..slice_count).map(move |slice| {
@@ -157,12 +166,12 @@ impl Counts {
 }
 
 /// Around what is in each slice, along each axis.
-struct Boxes([[LaneBox; MAX_SLICES]; 3]);
+struct SpatialBinBounds([[SimdAabb; MAX_SPATIAL_BINS]; 3]);
 
-impl Boxes {
+impl SpatialBinBounds {
     /// Along these `axes` only.
-    fn of(geometry: &Geometry, references: &[Reference], slices: &Slices, axes: [bool; 3]) -> Self {
-        let mut boxes = Self([[LaneBox::EMPTY; MAX_SLICES]; 3]);
+    fn of(geometry: &Geometry, references: &[PrimitiveReference], slices: &SpatialBins, axes: [bool; 3]) -> Self {
+        let mut boxes = Self([[SimdAabb::EMPTY; MAX_SPATIAL_BINS]; 3]);
         for reference in references {
             let mut corners = None;
             let bounds = reference.bounds();
@@ -172,8 +181,9 @@ impl Boxes {
                 let mut rest = bounds;
                 #[expect(clippy::needless_range_loop, reason = "the slice's number is a place, too")]
                 for slice in first[axis]..last[axis] {
-                    let corners = corners.get_or_insert_with(|| Corners::new(geometry, reference.primitive()));
-                    let Halves { left, right } = corners.cut(&rest, axis, slices.plane(axis, slice + 1));
+                    let corners = corners.get_or_insert_with(|| TriangleClipper::new(geometry, reference.primitive()));
+                    let ClippedBounds { left, right } =
+                        corners.split_bounds(&rest, axis, slices.plane(axis, slice + 1));
                     boxes[slice] = boxes[slice].union(left);
                     rest = right;
                 }
@@ -191,7 +201,7 @@ impl Boxes {
     }
 
     /// Around each slice and all that are right of it.
-    fn rights(&self, axis: usize, slice_count: usize) -> [LaneBox; MAX_SLICES] {
+    fn right_bounds(&self, axis: usize, slice_count: usize) -> [SimdAabb; MAX_SPATIAL_BINS] {
         let mut rights = self.0[axis];
         for slice in (1..slice_count - 1).rev() {
             rights[slice] = rights[slice].union(rights[slice + 1]);
@@ -204,13 +214,13 @@ impl Boxes {
 pub(super) struct SpatialSplit {
     axis: usize,
     /// The first slice to the right.
-    slice: usize,
-    slices: Slices,
+    first_right_bin: usize,
+    slices: SpatialBins,
     /// Primitive count times scaled half area, summed over both sides.
     pub(super) cost: f32,
     /// Left and right of the plane, what is on both sides counted twice.
     counts: [usize; 2],
-    bounds: [LaneBox; 2],
+    bounds: [SimdAabb; 2],
 }
 
 impl SpatialSplit {
@@ -220,33 +230,34 @@ impl SpatialSplit {
     pub(super) fn partition(
         &self,
         geometry: &Geometry,
-        source: &[Reference],
-        target: &mut [Reference],
+        source: &[PrimitiveReference],
+        target: &mut [PrimitiveReference],
         scale: f32,
         keeps_whole: bool,
-    ) -> [(Extent, usize); 2] {
-        let plane = self.slices.plane(self.axis, self.slice);
-        let mut sides = [(Extent::EMPTY, 0); 2];
+    ) -> [(ReferenceBounds, usize); 2] {
+        let plane = self.slices.plane(self.axis, self.first_right_bin);
+        let mut sides = [(ReferenceBounds::EMPTY, 0); 2];
         let end = target.len();
-        let mut put = |side: usize, reference: &Reference| {
+        let mut put = |side: usize, reference: &PrimitiveReference| {
             let (extent, count) = &mut sides[side];
-            *extent = extent.with(reference);
+            *extent = extent.extended_by(reference);
             target[if side == 0 { *count } else { end - 1 - *count }] = *reference;
             *count += 1;
         };
         for reference in source {
             let bounds = reference.bounds();
-            if self.slices.of(bounds.max)[self.axis] < self.slice {
+            if self.slices.of(bounds.max)[self.axis] < self.first_right_bin {
                 put(0, reference);
-            } else if self.slices.of(bounds.min)[self.axis] >= self.slice {
+            } else if self.slices.of(bounds.min)[self.axis] >= self.first_right_bin {
                 put(1, reference);
-            } else if let Some(side) = self.whole_side(&bounds, scale).filter(|_| keeps_whole) {
+            } else if let Some(side) = self.unsplit_side(&bounds, scale).filter(|_| keeps_whole) {
                 put(side, reference);
             } else {
-                let halves = Corners::new(geometry, reference.primitive()).cut(&bounds, self.axis, plane);
+                let halves =
+                    TriangleClipper::new(geometry, reference.primitive()).split_bounds(&bounds, self.axis, plane);
                 for (side, half) in [halves.left, halves.right].into_iter().enumerate() {
                     if half.min.xyz().cmple(half.max.xyz()).all() {
-                        put(side, &reference.within(&half));
+                        put(side, &reference.clipped_to(&half));
                     }
                 }
             }
@@ -255,7 +266,7 @@ impl SpatialSplit {
     }
 
     /// The side that had better have all of a primitive, if it is not both.
-    fn whole_side(&self, bounds: &LaneBox, scale: f32) -> Option<usize> {
+    fn unsplit_side(&self, bounds: &SimdAabb, scale: f32) -> Option<usize> {
         let [left, right] = self.bounds;
         let [left_count, right_count] = self.counts.map(|count| count as f32);
         let [left_area, right_area] = self.bounds.map(|bounds| bounds.half_area(scale));

@@ -5,14 +5,14 @@ use crate::device::layout::{Node, PrimitiveRange};
 
 /// The areas of a hierarchy's nodes, halved, in units of length squared.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Areas {
+pub(super) struct AreaSums {
     /// Of the inner nodes but the root.
     pub(super) inner: f64,
     /// Of the leaves.
     pub(super) leaves: f64,
 }
 
-impl Areas {
+impl AreaSums {
     pub(super) fn add(&mut self, other: Self) {
         self.inner += other.inner;
         self.leaves += other.leaves;
@@ -37,38 +37,38 @@ impl Areas {
 
 /// What a hierarchy costs now, and cost when it was built.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Cost {
-    areas: Areas,
+pub(super) struct CostTracker {
+    areas: AreaSums,
     /// No less than what rounding has added to `areas`.
-    error: f64,
+    rounding_error: f64,
     /// When built: `areas.inner`, and that in units of the root's area.
-    built: [f64; 2],
+    at_build: [f64; 2],
 }
 
-impl Cost {
+impl CostTracker {
     /// Of a new hierarchy.
-    pub(super) fn new(areas: Areas, nodes: &[Node]) -> Self {
+    pub(super) fn new(areas: AreaSums, nodes: &[Node]) -> Self {
         let mut cost = Self { areas, ..Self::default() };
-        cost.built = cost.inner(nodes);
+        cost.at_build = cost.inner(nodes);
         cost
     }
 
     /// After all nodes have changed.
-    pub(super) fn set(&mut self, areas: Areas) {
-        (self.areas, self.error) = (areas, 0.0);
+    pub(super) fn reset_sums(&mut self, areas: AreaSums) {
+        (self.areas, self.rounding_error) = (areas, 0.0);
     }
 
     /// After the node at `index`, not the root if that is an inner node, has changed.
-    pub(super) fn replace(&mut self, index: u32, old: &Node, new: &Node) {
+    pub(super) fn replace_node(&mut self, index: u32, old: &Node, new: &Node) {
         let is_inner_root = index == 0 && new.primitives == PrimitiveRange::INNER;
         if is_inner_root {
             return;
         }
-        let (mut before, mut after) = (Areas::default(), Areas::default());
+        let (mut before, mut after) = (AreaSums::default(), AreaSums::default());
         before.add_node(old);
         after.add_node(new);
         let most = self.areas.inner.max(self.areas.leaves) + before.inner + before.leaves + after.inner + after.leaves;
-        self.error += most * (4.0 * f64::EPSILON);
+        self.rounding_error += most * (4.0 * f64::EPSILON);
         self.areas.inner += after.inner - before.inner;
         self.areas.leaves += after.leaves - before.leaves;
     }
@@ -76,13 +76,13 @@ impl Cost {
     /// Adds all areas up anew where rounding may show: after very many updates, or when a box far larger than all others is
     /// gone. O(n) then.
     pub(super) fn settle(&mut self, nodes: &[Node]) {
-        const MOST: f64 = 1e-7;
-        if self.error > MOST * self.areas.inner.min(self.areas.leaves) {
-            self.set(Areas::of(nodes));
+        const MAX_RELATIVE_ERROR: f64 = 1e-7;
+        if self.rounding_error > MAX_RELATIVE_ERROR * self.areas.inner.min(self.areas.leaves) {
+            self.reset_sums(AreaSums::of(nodes));
         }
     }
 
-    /// As [`Stats::sah_cost`](crate::accel::Stats::sah_cost).
+    /// As [`BvhStats::sah_cost`](crate::accel::BvhStats::sah_cost).
     pub(super) fn sah_cost(&self, nodes: &[Node]) -> f64 {
         let Some(root) = nodes.first() else { return 0.0 };
         let root_area = half_area(root);
@@ -98,7 +98,7 @@ impl Cost {
     /// the root.
     pub(super) fn decay(&self, nodes: &[Node]) -> f64 {
         let [inner, share] = self.inner(nodes);
-        let [built_inner, built_share] = self.built;
+        let [built_inner, built_share] = self.at_build;
         let grown = if inner > built_inner { inner / built_inner } else { 1.0 };
         grown.max((1.5 + share) / (1.5 + built_share))
     }

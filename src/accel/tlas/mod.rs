@@ -6,12 +6,12 @@
 //! - Many changed: one pass over all nodes, children before parents (`bottom_up`).
 //! - The hierarchy has become bad, or has no room: a new one (`accel::cluster`, `flatten`).
 //!
-//! Instances come and go without a rebuild: a leaf that loses its instance stays as an [unused](Node::unused) one, and takes
+//! Instances come and go without a rebuild: a leaf that loses its instance stays as an [unused](Node::unused_leaf) one, and takes
 //! the next that comes (`leaves`). In a scene where that has happened, a rebuild leaves some room.
 
 mod build;
 mod cost;
-mod leaves;
+mod leaf_table;
 mod node;
 mod patch;
 mod policy;
@@ -22,13 +22,13 @@ use std::fmt;
 
 use serde::Serialize;
 
-use self::cost::Cost;
-use self::leaves::Leaves;
+use self::cost::CostTracker;
+use self::leaf_table::LeafTable;
 pub use self::policy::RebuildReason;
 use self::policy::Step;
-use super::stats::Stats;
-use super::validate::{StructureError, check_nodes};
-use crate::accel::build::agglomerative::{self, Order, finite};
+use super::stats::BvhStats;
+use super::validate::{BvhError, validate_nodes};
+use crate::accel::build::agglomerative::{self, MortonOrder, clamp_to_f32};
 use crate::device::DeviceBuffer;
 use crate::device::layout::{Node, PrimitiveRange};
 use crate::math::Aabb;
@@ -60,12 +60,12 @@ use crate::math::Aabb;
 /// ```
 #[derive(Debug, Default)]
 pub struct Tlas {
-    leaves: Leaves,
-    /// The parent of each node; [`NONE`] for the root.
+    leaves: LeafTable,
+    /// The parent of each node; `NONE` for the root.
     parents: Vec<u32>,
-    cost: Cost,
+    cost: CostTracker,
     /// Inner nodes whose box may have changed. Empty between calls.
-    stale: BinaryHeap<u32>,
+    stale_ancestors: BinaryHeap<u32>,
     /// Whether instances have come that found no unused leaf: a rebuild then leaves some.
     has_run_out: bool,
 }
@@ -101,7 +101,7 @@ impl fmt::Display for TlasUpdate {
             Self::Patched { instances, nodes } => write!(f, "patched (instances: {instances}, nodes: {nodes})"),
             Self::Refitted { instances } => write!(f, "refitted (instances: {instances})"),
             Self::Rebuilt(RebuildReason::Empty) => f.write_str("built"),
-            Self::Rebuilt(RebuildReason::NoRoom) => f.write_str("rebuilt (no room for new instances)"),
+            Self::Rebuilt(RebuildReason::NoUnusedLeaf) => f.write_str("rebuilt (no room for new instances)"),
             Self::Rebuilt(RebuildReason::Sparse) => f.write_str("rebuilt (half empty)"),
             Self::Rebuilt(RebuildReason::Decayed) => f.write_str("rebuilt (decayed)"),
         }
@@ -114,7 +114,7 @@ impl Tlas {
     pub const MAX_DECAY: f64 = policy::MAX_DECAY;
 
     /// No hierarchy has more levels than this.
-    pub const MAX_DEPTH: usize = agglomerative::MAX_DEPTH + 1;
+    pub const MAX_DEPTH: usize = agglomerative::MAX_CLUSTER_DEPTH + 1;
 
     /// Builds the hierarchy anew, on all threads of the current rayon pool where there are many instances; the result does not
     /// depend on the number of threads. O(n).
@@ -133,17 +133,17 @@ impl Tlas {
 
     fn build_here(&mut self, nodes: &mut DeviceBuffer<Node>, boxes: &[Aabb]) {
         // 1. Instances that are near each other in space become near each other in an array.
-        let order = Order::new(boxes);
+        let order = MortonOrder::new(boxes);
         // 2. Neighbours merge, until one cluster is left.
-        let tree = build::Tree::new(order);
+        let tree = build::ClusterTree::new(order);
         // 3. Device nodes.
         let spare = policy::spare_leaves(tree.leaf_count(), self.has_run_out);
         let len = build::node_count(&tree, spare);
         self.parents = bytemuck::zeroed_vec(len);
         self.leaves.reset(boxes.len(), tree.leaf_count());
-        let sums = build::flatten(&tree, spare, nodes.rewrite(len), &mut self.parents, &mut self.leaves);
-        self.cost = Cost::new(sums, nodes);
-        self.stale.clear();
+        let sums = build::flatten(&tree, spare, nodes.resize_for_overwrite(len), &mut self.parents, &mut self.leaves);
+        self.cost = CostTracker::new(sums, nodes);
+        self.stale_ancestors.clear();
     }
 
     /// Brings the hierarchy up to date with `boxes`, of which those of the slots in `changed` may differ from the last call's:
@@ -155,7 +155,7 @@ impl Tlas {
             Ok(update) => return update,
             Err(reason) => reason,
         };
-        self.has_run_out |= reason == RebuildReason::NoRoom;
+        self.has_run_out |= reason == RebuildReason::NoUnusedLeaf;
         let was_empty = nodes.is_empty();
         self.build(nodes, boxes);
         if was_empty && nodes.is_empty() { TlasUpdate::Kept } else { TlasUpdate::Rebuilt(reason) }
@@ -177,7 +177,7 @@ impl Tlas {
         // 1. Leaves: instances come and go, and boxes change.
         let mut instances = 0;
         for &slot in changed {
-            instances += usize::from(self.update_leaf(nodes, boxes, slot, refits)?);
+            instances += usize::from(self.patch_leaf(nodes, boxes, slot, refits)?);
         }
         if instances == 0 {
             return Ok(TlasUpdate::Kept);
@@ -186,18 +186,18 @@ impl Tlas {
         // 2. Inner nodes.
         let mut written = instances;
         if refits {
-            let some_came_or_went = !self.stale.is_empty();
-            self.stale.clear();
+            let some_came_or_went = !self.stale_ancestors.is_empty();
+            self.stale_ancestors.clear();
             let (areas, has_moved) = refit::refit(nodes, boxes);
-            self.cost.set(areas);
+            self.cost.reset_sums(areas);
             if !(some_came_or_went || has_moved) {
                 return Ok(TlasUpdate::Kept);
             }
         } else {
-            written += self.update_ancestors(nodes);
+            written += self.patch_ancestors(nodes);
         }
         // 3. The last node must be in use: traversal ends at it.
-        written += self.fill_last(nodes);
+        written += self.fill_last_leaf(nodes);
         self.cost.settle(nodes);
         policy::check_decay(self.cost.decay(nodes))?;
         Ok(match refits {
@@ -211,34 +211,35 @@ impl Tlas {
         self.leaves.used_count()
     }
 
-    /// The [cost](Stats::sah_cost) of the hierarchy in `nodes`, kept up with every update. O(1).
+    /// The [cost](BvhStats::sah_cost) of the hierarchy in `nodes`, kept up with every update. O(1).
     pub fn sah_cost(&self, nodes: &[Node]) -> f64 {
         self.cost.sah_cost(nodes)
     }
 
     /// Sizes and quality of `nodes`, measured. O(n).
-    pub fn stats(&self, nodes: &[Node]) -> Stats {
-        Stats { bytes: size_of_val(nodes), ..Stats::of(nodes, 1.0) }
+    pub fn stats(&self, nodes: &[Node]) -> BvhStats {
+        BvhStats { bytes: size_of_val(nodes), ..BvhStats::of(nodes, 1.0) }
     }
 
     /// Checks what traversal and the next update rely on: escape order, containment, every slot with a box in exactly one
     /// leaf, and that leaf known. `boxes` as they were at the last call. O(n).
     ///
     /// # Errors
-    /// The first [`StructureError`] found.
-    pub fn validate(&self, nodes: &[Node], boxes: &[Aabb]) -> Result<(), StructureError> {
+    /// The first [`BvhError`] found.
+    pub fn validate(&self, nodes: &[Node], boxes: &[Aabb]) -> Result<(), BvhError> {
         let mut found = vec![false; boxes.len()];
-        check_nodes(nodes, |range| {
-            let bounds = boxes.get(range.first() as usize).and_then(finite)?;
-            let is_new = range.count() == 1 && !std::mem::replace(&mut found[range.first() as usize], true);
+        validate_nodes(nodes, |range| {
+            let bounds = boxes.get(range.first_primitive() as usize).and_then(clamp_to_f32)?;
+            let is_new =
+                range.primitive_count() == 1 && !std::mem::replace(&mut found[range.first_primitive() as usize], true);
             is_new.then_some(bounds)
         })?;
         for ((slot, found), bounds) in (0..).zip(found).zip(boxes) {
             let leaf = self.leaves.leaf(slot);
             let is_known = leaf.is_some_and(|leaf| nodes[leaf as usize].primitives == PrimitiveRange::leaf(slot, 1));
-            let expected = finite(bounds).is_some();
+            let expected = clamp_to_f32(bounds).is_some();
             if found != expected || is_known != expected {
-                return Err(StructureError::Missing { primitive: slot });
+                return Err(BvhError::Missing { primitive: slot });
             }
         }
         Ok(())

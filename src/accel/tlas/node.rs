@@ -2,14 +2,14 @@
 
 use glam::Vec4;
 
-use crate::accel::padding::padded;
+use crate::accel::padding::pad_corners;
 use crate::device::layout::{Node, PrimitiveRange};
 use crate::math::Aabb;
 
 /// The leaf of an instance: its box, padded.
 #[inline]
 pub(super) fn instance_leaf(slot: u32, bounds: &Aabb, escape_index: u32) -> Node {
-    let (min, max) = padded(bounds.min, bounds.max);
+    let (min, max) = pad_corners(bounds.min, bounds.max);
     let lane = |bits| f32::from_bits(bits);
     let primitives = bytemuck::cast(PrimitiveRange::leaf(slot, 1));
     bytemuck::cast([min.extend(lane(escape_index)), max.extend(lane(primitives))])
@@ -24,9 +24,9 @@ pub(super) fn around_children(nodes: &[Node], index: usize) -> Node {
 /// `node` with the box around two others. Those boxes are padded: so is this.
 #[inline]
 pub(super) fn with_box_around(node: &Node, a: &Node, b: &Node) -> Node {
-    let (a, b) = if a.is_unused() {
+    let (a, b) = if a.is_empty() {
         (b, b)
-    } else if b.is_unused() {
+    } else if b.is_empty() {
         (a, a)
     } else {
         (a, b)

@@ -5,7 +5,7 @@
 //! | there is no instance yet | a build ([`RebuildReason::Empty`]) |
 //! | few boxes changed | a patch of their leaves and of those leaves' ancestors |
 //! | more than 1 in 16 changed | a refit of all nodes |
-//! | an instance came and no leaf is unused | a rebuild ([`RebuildReason::NoRoom`]), and from then on with spare leaves |
+//! | an instance came and no leaf is unused | a rebuild ([`RebuildReason::NoUnusedLeaf`]), and from then on with spare leaves |
 //! | more leaves are unused than used | a rebuild ([`RebuildReason::Sparse`]) |
 //! | after the patch or refit the boxes have grown too much | a rebuild ([`RebuildReason::Decayed`]) |
 //! | no box turned out to differ | nothing |
@@ -36,7 +36,7 @@ pub enum RebuildReason {
     /// There was nothing in it before.
     Empty,
     /// More instances came than there were unused leaves.
-    NoRoom,
+    NoUnusedLeaf,
     /// More than half of the leaves were unused.
     Sparse,
     /// Instances have moved so far that the nodes' boxes had grown past [`Tlas::MAX_DECAY`](super::Tlas::MAX_DECAY).

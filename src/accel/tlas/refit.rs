@@ -4,9 +4,9 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use super::cost::Areas;
+use super::cost::AreaSums;
 use super::node::{around_children, instance_leaf, with_box_around};
-use crate::accel::build::agglomerative::finite;
+use crate::accel::build::agglomerative::clamp_to_f32;
 use crate::accel::stats::half_area;
 use crate::device::DeviceBuffer;
 use crate::device::layout::{NONE, Node, PrimitiveRange};
@@ -19,11 +19,11 @@ const PARALLEL_MINIMUM: usize = 1 << 16;
 
 /// Computes all boxes anew, those of the leaves from `boxes`, and marks the nodes between the first and the last change of
 /// each task. Returns the areas, and whether any node changed. O(n), on all threads of the current rayon pool.
-pub(super) fn refit(nodes: &mut DeviceBuffer<Node>, boxes: &[Aabb]) -> (Areas, bool) {
+pub(super) fn refit(nodes: &mut DeviceBuffer<Node>, boxes: &[Aabb]) -> (AreaSums, bool) {
     // 1. Subtrees, side by side.
     let (upper, tasks) = tasks(nodes);
     let is_parallel = nodes.len() >= PARALLEL_MINIMUM;
-    let mut rest = nodes.unmarked_mut();
+    let mut rest = nodes.as_mut_slice_without_marking();
     let mut rest_start = 0;
     let mut slices = Vec::with_capacity(tasks.len());
     for task in tasks {
@@ -33,13 +33,13 @@ pub(super) fn refit(nodes: &mut DeviceBuffer<Node>, boxes: &[Aabb]) -> (Areas, b
         slices.push((task.start, slice));
     }
     let refit = |(start, slice)| refit_subtree(slice, start, boxes);
-    let refitted: Vec<Refitted> =
+    let refitted: Vec<RefittedRange> =
         if is_parallel { slices.into_par_iter().map(refit).collect() } else { slices.into_iter().map(refit).collect() };
-    let (mut areas, mut has_changed) = (Areas::default(), false);
+    let (mut areas, mut has_changed) = (AreaSums::default(), false);
     for subtree in refitted {
         areas.add(subtree.areas);
         if !subtree.changed.is_empty() {
-            nodes.mark(subtree.changed);
+            nodes.mark_dirty(subtree.changed);
             has_changed = true;
         }
     }
@@ -71,15 +71,15 @@ fn tasks(nodes: &[Node]) -> (Vec<usize>, Vec<Range<usize>>) {
 }
 
 /// What became of a subtree.
-struct Refitted {
-    areas: Areas,
+struct RefittedRange {
+    areas: AreaSums,
     /// From the first change to the last, as indices of the whole array.
     changed: Range<usize>,
 }
 
 /// `start` is the index of the subtree's root in the whole array.
-fn refit_subtree(nodes: &mut [Node], start: usize, boxes: &[Aabb]) -> Refitted {
-    let mut refitted = Refitted { areas: Areas::default(), changed: nodes.len()..0 };
+fn refit_subtree(nodes: &mut [Node], start: usize, boxes: &[Aabb]) -> RefittedRange {
+    let mut refitted = RefittedRange { areas: AreaSums::default(), changed: nodes.len()..0 };
     // 1. Leaves. Their boxes come from all over memory: fetched first, with nothing else in the loop, many are on their way at
     // once.
     let mut fetched = vec![(0, Aabb::EMPTY); nodes.len().div_ceil(2) + 1];
@@ -96,13 +96,14 @@ fn refit_subtree(nodes: &mut [Node], start: usize, boxes: &[Aabb]) -> Refitted {
         inner_count += usize::from(!(is_leaf | is_unused_leaf));
     }
     for (index, bounds) in &mut fetched[..leaf_count] {
-        if let Some(current) = boxes.get(nodes[*index].primitives.first() as usize) {
+        if let Some(current) = boxes.get(nodes[*index].primitives.first_primitive() as usize) {
             *bounds = *current;
         }
     }
     for (index, bounds) in &fetched[..leaf_count] {
         let old = nodes[*index];
-        let node = finite(bounds).map_or(old, |b| instance_leaf(old.primitives.first(), &b, old.escape_index));
+        let node =
+            clamp_to_f32(bounds).map_or(old, |b| instance_leaf(old.primitives.first_primitive(), &b, old.escape_index));
         refitted.areas.leaves += half_area(&node);
         refitted.write(nodes, *index, &node);
     }
@@ -119,7 +120,7 @@ fn refit_subtree(nodes: &mut [Node], start: usize, boxes: &[Aabb]) -> Refitted {
     refitted
 }
 
-impl Refitted {
+impl RefittedRange {
     #[inline]
     fn write(&mut self, nodes: &mut [Node], index: usize, node: &Node) {
         if bytemuck::cast::<_, [u64; 4]>(nodes[index]) != bytemuck::cast::<_, [u64; 4]>(*node) {

@@ -6,11 +6,11 @@
 //! end of the arrays, which refers to its parent before it. When a quarter of the arrays is gaps and grafts, they are
 //! built anew in preorder; so an edit costs what it changes, amortised.
 //!
-//! `structure` plants and removes, `propagate` computes what is inherited, `boxes` the world boxes of subtrees.
+//! `entries` plants and removes, `propagate` computes what is inherited, `subtree_bounds` the world boxes of subtrees.
 
-mod boxes;
+mod entries;
 mod propagate;
-mod structure;
+mod subtree_bounds;
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::ops::Range;
@@ -19,13 +19,13 @@ use glam::DAffine3;
 use rayon::prelude::*;
 use slotmap::{Key, SecondaryMap};
 
-use self::boxes::Boxes;
-use super::assets::{StoredGeometry, Used};
+use self::subtree_bounds::SubtreeBounds;
+use super::assets::{StoredGeometry, UseCounted};
 use super::bit_set::BitSet;
 use super::core::CoreSlot;
 use super::node::Node;
 use super::store::Store;
-use super::validate::check;
+use super::validate::require_invariant;
 use super::{Core, CoreKey, GeometryKey, MaterialKey, NodeKey};
 use crate::Result;
 
@@ -38,28 +38,28 @@ use crate::Result;
 pub struct Hierarchy {
     nodes: Vec<NodeKey>,
     parents: Vec<u32>,
-    ends: Vec<u32>,
-    own: Vec<Own>,
-    placed: Vec<Placed>,
+    subtree_ends: Vec<u32>,
+    properties: Vec<EntryProperties>,
+    placed: Vec<ResolvedEntry>,
     /// One entry of each node: where it stands itself, if it does.
     first_entries: SecondaryMap<NodeKey, u32>,
     /// The others, of nodes that are instanced.
-    more_entries: HashMap<NodeKey, BTreeSet<u32>>,
+    instanced_entries: HashMap<NodeKey, BTreeSet<u32>>,
     /// The starts of the grafts below each entry that has some; dead ones start with a gap.
-    grafts: BTreeMap<u32, Vec<u32>>,
+    appended_subtrees: BTreeMap<u32, Vec<u32>>,
     /// Entries in grafts.
-    grafted: usize,
+    appended_count: usize,
     gaps: Vec<u32>,
     generation: u64,
-    pending: Pending,
-    boxes: Option<Boxes>,
+    pending: PendingUpdates,
+    subtree_bounds: Option<SubtreeBounds>,
 }
 
 /// An entry in the world.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Placed {
+pub struct ResolvedEntry {
     /// `world_from_local`: the node's own transform applied, if it has one. Not finite where the product overflows.
-    pub world: DAffine3,
+    pub world_from_local: DAffine3,
     /// The material of the outermost material group at or above it.
     pub material: Option<MaterialKey>,
     /// Its own mask AND those of all above it.
@@ -79,26 +79,26 @@ pub struct NodePath {
 
 /// What an entry contributes to itself and to all below it.
 #[derive(Clone, Copy, Debug)]
-struct Own {
+struct EntryProperties {
     local: DAffine3,
     material: Option<MaterialKey>,
     mask: u32,
     visible: bool,
     has_transform: bool,
     /// Whether the switch above it, if there is one, shows it.
-    chosen: bool,
+    selected: bool,
     /// Whether it is there because the entry above it instances its node.
-    instanced: bool,
+    is_instance_root: bool,
     /// Whether it or something above it is instanced.
-    copy: bool,
+    is_in_instance: bool,
 }
 
 /// What has to be done to catch up with the scene.
 #[derive(Debug, Default)]
-struct Pending {
+struct PendingUpdates {
     is_built: bool,
     /// Nodes that came or moved to other parents.
-    unplanted: Vec<NodeKey>,
+    reattached: Vec<NodeKey>,
     /// Nodes whose core is or was an instance of another node.
     instances: BTreeSet<NodeKey>,
     /// Nodes whose children may be chosen otherwise.
@@ -109,16 +109,16 @@ struct Pending {
 
 /// The objects of the scene that a hierarchy shows.
 #[derive(Clone, Copy)]
-pub(super) struct Tree<'a> {
+pub(super) struct SceneStores<'a> {
     pub(super) root: NodeKey,
     pub(super) nodes: &'a Store<NodeKey, Node>,
     pub(super) cores: &'a Store<CoreKey, CoreSlot>,
-    pub(super) geometries: &'a Store<GeometryKey, Used<StoredGeometry>>,
+    pub(super) geometries: &'a Store<GeometryKey, UseCounted<StoredGeometry>>,
     /// Whether any core is an instance.
     pub(super) has_instances: bool,
 }
 
-impl<'a> Tree<'a> {
+impl<'a> SceneStores<'a> {
     fn core(self, node: NodeKey) -> &'a Core {
         &self.cores[self.nodes[node].core].core
     }
@@ -146,7 +146,7 @@ impl Hierarchy {
     ///
     /// # Panics
     /// If there is no entry at the index.
-    pub fn is_gap(&self, entry: usize) -> bool {
+    pub fn is_removed(&self, entry: usize) -> bool {
         self.nodes[entry].is_null()
     }
 
@@ -156,24 +156,24 @@ impl Hierarchy {
     }
 
     /// Where each entry is.
-    pub fn placed(&self) -> &[Placed] {
+    pub fn resolved(&self) -> &[ResolvedEntry] {
         &self.placed
     }
 
     /// The entries that became gaps, oldest first, since the [`generation`](Self::generation) began.
-    pub fn gaps(&self) -> &[u32] {
+    pub fn removed_entries(&self) -> &[u32] {
         &self.gaps
     }
 
     /// Where the node itself stands, not through an instance; `None` if it is not in the scene. O(1).
     pub fn entry(&self, node: NodeKey) -> Option<usize> {
         let entry = *self.first_entries.get(node)? as usize;
-        (!self.own[entry].copy).then_some(entry)
+        (!self.properties[entry].is_in_instance).then_some(entry)
     }
 
     /// All entries of a node, in no particular order; none if it is not in the scene.
     pub fn entries(&self, node: NodeKey) -> impl Iterator<Item = usize> + Clone {
-        let more = self.more_entries.get(&node).into_iter().flatten();
+        let more = self.instanced_entries.get(&node).into_iter().flatten();
         self.first_entries.get(node).into_iter().chain(more).map(|&entry| entry as usize)
     }
 
@@ -181,18 +181,18 @@ impl Hierarchy {
     ///
     /// # Panics
     /// If there is no entry at the index.
-    pub fn is_instanced(&self, entry: usize) -> bool {
-        self.own[entry].instanced
+    pub fn is_instance_root(&self, entry: usize) -> bool {
+        self.properties[entry].is_instance_root
     }
 
     /// The world transform that the entry's own is applied to.
     ///
     /// # Panics
     /// If there is no entry at the index.
-    pub fn inherited_world(&self, entry: usize) -> DAffine3 {
+    pub fn world_from_parent(&self, entry: usize) -> DAffine3 {
         match self.parents[entry] {
             Self::NO_PARENT => DAffine3::IDENTITY,
-            parent => self.placed[parent as usize].world,
+            parent => self.placed[parent as usize].world_from_local,
         }
     }
 
@@ -203,9 +203,9 @@ impl Hierarchy {
     pub fn path(&self, entry: usize) -> NodePath {
         let mut instances = Vec::new();
         let mut above = entry;
-        while self.own[above].copy {
+        while self.properties[above].is_in_instance {
             let parent = self.parents[above] as usize;
-            if self.own[above].instanced {
+            if self.properties[above].is_instance_root {
                 instances.push(self.nodes[parent]);
             }
             above = parent;
@@ -219,10 +219,11 @@ impl Hierarchy {
     /// # Panics
     /// If there is no entry at the index.
     pub fn children(&self, entry: usize) -> impl Iterator<Item = usize> {
-        let end = self.ends[entry] as usize;
-        let within = std::iter::successors(Some(entry + 1), |&child| self.ends.get(child).map(|&end| end as usize));
-        let within = within.take_while(move |&child| child < end).filter(|&child| !self.is_gap(child));
-        within.chain(self.grafts_below(entry..entry + 1))
+        let end = self.subtree_ends[entry] as usize;
+        let within =
+            std::iter::successors(Some(entry + 1), |&child| self.subtree_ends.get(child).map(|&end| end as usize));
+        let within = within.take_while(move |&child| child < end).filter(|&child| !self.is_removed(child));
+        within.chain(self.appended_below(entry..entry + 1))
     }
 
     /// The ranges of an entry and all below it, the entry's own first. Gaps may be among them.
@@ -230,11 +231,11 @@ impl Hierarchy {
     /// # Panics
     /// If there is no entry at the index.
     pub fn subtree(&self, entry: usize) -> Vec<Range<usize>> {
-        let own = entry..self.ends[entry] as usize;
+        let own = entry..self.subtree_ends[entry] as usize;
         let mut ranges = Vec::from([own]);
         let mut next = 0;
         while let Some(range) = ranges.get(next).cloned() {
-            ranges.extend(self.grafts_below(range).map(|start| start..self.ends[start] as usize));
+            ranges.extend(self.appended_below(range).map(|start| start..self.subtree_ends[start] as usize));
             next += 1;
         }
         ranges
@@ -259,29 +260,29 @@ impl Hierarchy {
             (Some(_), None) => grafts.pop_first(),
             _ => entries.next(),
         } {
-            let range = start..self.ends[start] as usize;
+            let range = start..self.subtree_ends[start] as usize;
             match ranges.last_mut() {
                 Some(last) if start < last.end => continue,
-                Some(last) if start == last.end && (self.grafts.is_empty() || !self.is_graft(start)) => {
+                Some(last) if start == last.end && (self.appended_subtrees.is_empty() || !self.is_appended(start)) => {
                     last.end = range.end;
                 }
                 _ => ranges.push(range.clone()),
             }
-            if !self.grafts.is_empty() {
-                grafts.extend(self.grafts_below(range));
+            if !self.appended_subtrees.is_empty() {
+                grafts.extend(self.appended_below(range));
             }
         }
         ranges
     }
 
     /// Whether the entry stands apart from its parent's range.
-    fn is_graft(&self, entry: usize) -> bool {
-        self.ends.get(self.parents[entry] as usize).is_some_and(|&end| end as usize <= entry)
+    fn is_appended(&self, entry: usize) -> bool {
+        self.subtree_ends.get(self.parents[entry] as usize).is_some_and(|&end| end as usize <= entry)
     }
 
     /// The starts of the grafts that are attached to entries in a range.
-    fn grafts_below(&self, range: Range<usize>) -> impl Iterator<Item = usize> {
-        let grafts = self.grafts.range(range.start as u32..range.end as u32).flat_map(|(_, starts)| starts);
+    fn appended_below(&self, range: Range<usize>) -> impl Iterator<Item = usize> {
+        let grafts = self.appended_subtrees.range(range.start as u32..range.end as u32).flat_map(|(_, starts)| starts);
         grafts.map(|&start| start as usize).filter(|&start| !self.nodes[start].is_null())
     }
 
@@ -290,38 +291,47 @@ impl Hierarchy {
         let pending = &self.pending;
         pending.is_built
             && pending.dirty.is_empty()
-            && pending.unplanted.is_empty()
+            && pending.reattached.is_empty()
             && pending.instances.is_empty()
             && pending.switches.is_empty()
     }
 
     /// Checks the arrays against each other, and against those that would be built now.
-    pub(super) fn validate(&self, tree: Tree<'_>) -> Result<()> {
+    pub(super) fn validate(&self, tree: SceneStores<'_>) -> Result<()> {
         let mut fresh = Self::default();
         fresh.update(tree)?;
         let mut entries: HashMap<NodePath, usize> = HashMap::new();
         for entry in (0..self.nodes.len()).filter(|&entry| !self.nodes[entry].is_null()) {
             let node = self.nodes[entry];
             let is_first = entries.insert(self.path(entry), entry).is_none();
-            check(is_first, node, "it appears twice in one place")?;
-            check(self.entries(node).any(|e| e == entry), node, "the hierarchy does not find it")?;
+            require_invariant(is_first, node, "it appears twice in one place")?;
+            require_invariant(self.entries(node).any(|e| e == entry), node, "the hierarchy does not find it")?;
             let parent = self.parents[entry];
             if parent != Self::NO_PARENT {
                 let parent = parent as usize;
-                let inside = (parent + 1..self.ends[parent] as usize).contains(&entry);
-                let grafted = self.grafts_below(parent..parent + 1).any(|graft| graft == entry);
-                check(parent < entry && (inside || grafted), node, "the hierarchy has it outside its parent")?;
+                let inside = (parent + 1..self.subtree_ends[parent] as usize).contains(&entry);
+                let grafted = self.appended_below(parent..parent + 1).any(|graft| graft == entry);
+                require_invariant(
+                    parent < entry && (inside || grafted),
+                    node,
+                    "the hierarchy has it outside its parent",
+                )?;
             }
         }
-        let bits = |placed: &Placed| placed.world.to_cols_array().map(f64::to_bits);
+        let bits = |placed: &ResolvedEntry| placed.world_from_local.to_cols_array().map(f64::to_bits);
         for (index, placed) in fresh.placed.iter().enumerate() {
             let path = fresh.path(index);
             let same = entries.remove(&path).is_some_and(|entry| {
                 let (own, world) = (self.placed[entry], DAffine3::IDENTITY);
-                bits(&own) == bits(placed) && Placed { world, ..own } == Placed { world, ..*placed }
+                bits(&own) == bits(placed)
+                    && ResolvedEntry { world_from_local: world, ..own }
+                        == ResolvedEntry { world_from_local: world, ..*placed }
             });
-            check(same, path.node, "the hierarchy shows it otherwise than it is")?;
+            require_invariant(same, path.node, "the hierarchy shows it otherwise than it is")?;
         }
-        entries.keys().next().map_or(Ok(()), |path| check(false, path.node, "the hierarchy shows what is not there"))
+        entries
+            .keys()
+            .next()
+            .map_or(Ok(()), |path| require_invariant(false, path.node, "the hierarchy shows what is not there"))
     }
 }

@@ -3,20 +3,20 @@
 use std::collections::{BTreeSet, HashMap, HashSet};
 
 use super::delta::Delta;
-use super::{NodeState, State};
-use crate::graph::ranges::{check_core, check_material, check_texture};
-use crate::graph::scene::stale;
-use crate::graph::{Core, CoreKey, NodeKey, Object, Scene};
+use super::{NodeState, ObjectState};
+use crate::graph::scene::stale_key_error;
+use crate::graph::value_checks::{check_core, check_material, check_texture};
+use crate::graph::{Core, CoreKey, NodeKey, ObjectKey, Scene};
 use crate::{Error, Result};
 
 /// How many more slots than objects the keys of deltas that are not whole may make a scene have, all of them together. Between two reads of the log an
 /// honest scene may create and free many objects; a forged key must not make this scene allocate without bound.
-const MOST_SLOTS_SKIPPED: usize = 1 << 20;
+const MAX_SKIPPED_SLOTS: usize = 1 << 20;
 
 /// Checks all that must hold of the scene after the delta. Gives the nodes of the delta in an order in which they can
 /// be put after their siblings.
 pub(super) fn check(scene: &Scene, delta: &Delta) -> Result<Vec<NodeKey>> {
-    let after = After { scene, delta };
+    let after = SceneAfter { scene, delta };
     check_order(scene, delta)?;
     for (object, state) in delta.objects() {
         match state {
@@ -25,27 +25,27 @@ pub(super) fn check(scene: &Scene, delta: &Delta) -> Result<Vec<NodeKey>> {
         }
     }
     after.check_root()?;
-    after.check_uses()?;
+    after.check_references()?;
     after.check_siblings()?;
     after.check_cycles()?;
     match order_of_siblings(delta) {
         (order, None) => Ok(order),
-        (_, Some(node)) => Err(misfit(node, "it is to come after itself")),
+        (_, Some(node)) => Err(mismatch(node, "it is to come after itself")),
     }
 }
 
 /// Checks that no object comes twice, and that no two are to have one slot.
 fn check_order(scene: &Scene, delta: &Delta) -> Result<()> {
     if let Some(pair) = delta.objects.windows(2).find(|pair| pair[0].0 >= pair[1].0) {
-        return Err(misfit(pair[1].0, "it comes twice, or out of order"));
+        return Err(mismatch(pair[1].0, "it comes twice, or out of order"));
     }
     // Generations of one slot come one after the other.
     let there = delta.objects.iter().filter(|(_, state)| state.is_some());
-    let slots = there.map(|&(object, _)| (object, std::mem::discriminant(&object), scene.place(object).0));
+    let slots = there.map(|&(object, _)| (object, std::mem::discriminant(&object), scene.slot_occupancy(object).0));
     let mut last = None;
     for (object, kind, slot) in slots {
         if last.replace((kind, slot)) == Some((kind, slot)) {
-            return Err(misfit(object, "another object is to have its slot too"));
+            return Err(mismatch(object, "another object is to have its slot too"));
         }
     }
     Ok(())
@@ -59,14 +59,14 @@ pub(super) fn order_of_siblings(delta: &Delta) -> (Vec<NodeKey>, Option<NodeKey>
     let mut chain = Vec::new();
     for (object, state) in delta.objects() {
         let mut next = Some((object, state));
-        while let Some((Object::Node(node), Some(State::Node(state)))) = next {
+        while let Some((ObjectKey::Node(node), Some(ObjectState::Node(state)))) = next {
             if !seen.insert(node) {
                 // Already in order, unless this very chain has come around.
                 circular = circular.or_else(|| chain.contains(&node).then_some(node));
                 break;
             }
             chain.push(node);
-            let previous = state.previous_sibling.map(Object::from);
+            let previous = state.previous_sibling.map(ObjectKey::from);
             next = previous.and_then(|previous| Some((previous, delta.get(previous)?.as_ref())));
         }
         order.extend(chain.drain(..).rev());
@@ -75,23 +75,23 @@ pub(super) fn order_of_siblings(delta: &Delta) -> (Vec<NodeKey>, Option<NodeKey>
 }
 
 /// A scene as it will be after a delta.
-struct After<'a> {
+struct SceneAfter<'a> {
     scene: &'a Scene,
     delta: &'a Delta,
 }
 
-impl After<'_> {
-    fn has(&self, object: Object) -> bool {
-        self.delta.get(object).map_or_else(|| self.scene.has(object), Option::is_some)
+impl SceneAfter<'_> {
+    fn has(&self, object: ObjectKey) -> bool {
+        self.delta.get(object).map_or_else(|| self.scene.contains_object(object), Option::is_some)
     }
 
-    fn require(&self, object: Object) -> Result<()> {
-        if self.has(object) { Ok(()) } else { Err(stale(object)) }
+    fn require_object(&self, object: ObjectKey) -> Result<()> {
+        if self.has(object) { Ok(()) } else { Err(stale_key_error(object)) }
     }
 
     fn parent(&self, node: NodeKey) -> Option<NodeKey> {
         match self.delta.get(node.into()) {
-            Some(Some(State::Node(state))) => state.parent,
+            Some(Some(ObjectState::Node(state))) => state.parent,
             Some(_) => None,
             None => self.scene.nodes.get(node)?.parent,
         }
@@ -99,56 +99,60 @@ impl After<'_> {
 
     fn core(&self, core: CoreKey) -> Option<&Core> {
         match self.delta.get(core.into()) {
-            Some(Some(State::Core(core))) => Some(core),
+            Some(Some(ObjectState::Core(core))) => Some(core),
             Some(_) => None,
-            None => self.scene.core_of(core).ok(),
+            None => self.scene.core_by_key(core).ok(),
         }
     }
 
-    fn check_state(&self, object: Object, state: &State) -> Result<()> {
-        if !state.fits(object) {
-            return Err(misfit(object, "its state is that of another kind of object"));
+    fn check_state(&self, object: ObjectKey, state: &ObjectState) -> Result<()> {
+        if !state.matches_kind(object) {
+            return Err(mismatch(object, "its state is that of another kind of object"));
         }
-        if !self.scene.has(object) {
+        if !self.scene.contains_object(object) {
             self.check_key(object)?;
         }
-        state.references().into_iter().try_for_each(|used| self.require(used))?;
+        state.references().into_iter().try_for_each(|used| self.require_object(used))?;
         match state {
-            State::Node(node) => self.check_node(object, node),
-            State::Core(core) => check_core(core),
-            State::Geometry(geometry) => match object {
-                Object::Geometry(key) if self.scene.geometry(key).is_ok_and(|old| old.is_same(geometry)) => Ok(()),
+            ObjectState::Node(node) => self.check_node(object, node),
+            ObjectState::Core(core) => check_core(core),
+            ObjectState::Geometry(geometry) => match object {
+                ObjectKey::Geometry(key)
+                    if self.scene.geometry(key).is_ok_and(|old| old.has_equal_content(geometry)) =>
+                {
+                    Ok(())
+                }
                 _ => geometry.validate(),
             },
-            State::Material(material) => check_material(material),
-            State::Texture(texture) => check_texture(texture),
+            ObjectState::Material(material) => check_material(material),
+            ObjectState::Texture(texture) => check_texture(texture),
         }
     }
 
     /// Whether an object that the scene has not can get its key.
-    fn check_key(&self, object: Object) -> Result<()> {
-        let (slot, occupant, slot_count) = self.scene.place(object);
+    fn check_key(&self, object: ObjectKey) -> Result<()> {
+        let (slot, occupant, slot_count) = self.scene.slot_occupancy(object);
         if slot == 0 || slot >= u32::MAX as usize {
-            return Err(misfit(object, "no scene gives out its key"));
+            return Err(mismatch(object, "no scene gives out its key"));
         }
         if occupant.is_some_and(|occupant| self.has(occupant)) {
-            return Err(misfit(object, "another object has its slot"));
+            return Err(mismatch(object, "another object has its slot"));
         }
-        let given_out = self.delta.whole.as_ref().map_or(0, |generations| match object {
-            Object::Node(_) => generations.nodes.len(),
-            Object::Core(_) => generations.cores.len(),
-            Object::Geometry(_) => generations.geometries.len(),
-            Object::Material(_) => generations.materials.len(),
-            Object::Texture(_) => generations.textures.len(),
+        let given_out = self.delta.snapshot_generations.as_ref().map_or(0, |generations| match object {
+            ObjectKey::Node(_) => generations.nodes.len(),
+            ObjectKey::Core(_) => generations.cores.len(),
+            ObjectKey::Geometry(_) => generations.geometries.len(),
+            ObjectKey::Material(_) => generations.materials.len(),
+            ObjectKey::Texture(_) => generations.textures.len(),
         });
         let live = match object {
-            Object::Node(_) => self.scene.node_count(),
-            Object::Core(_) => self.scene.core_count(),
-            Object::Geometry(_) => self.scene.geometry_count(),
-            Object::Material(_) => self.scene.material_count(),
-            Object::Texture(_) => self.scene.texture_count(),
+            ObjectKey::Node(_) => self.scene.node_count(),
+            ObjectKey::Core(_) => self.scene.core_count(),
+            ObjectKey::Geometry(_) => self.scene.geometry_count(),
+            ObjectKey::Material(_) => self.scene.material_count(),
+            ObjectKey::Texture(_) => self.scene.texture_count(),
         };
-        let skippable = if self.delta.is_whole() { 0 } else { MOST_SLOTS_SKIPPED };
+        let skippable = if self.delta.is_snapshot() { 0 } else { MAX_SKIPPED_SLOTS };
         let limit = slot_count.max(given_out).max(live + skippable);
         if slot < limit {
             return Ok(());
@@ -157,41 +161,41 @@ impl After<'_> {
         Err(Error::Limit { what: "a key's slot in a delta", needed: slot as u64, limit: limit as u64, hint })
     }
 
-    fn check_node(&self, object: Object, node: &NodeState) -> Result<()> {
+    fn check_node(&self, object: ObjectKey, node: &NodeState) -> Result<()> {
         let is_root = object == self.scene.root.into();
         match (node.parent, node.previous_sibling) {
             (None, None) if is_root => Ok(()),
             (_, _) if is_root => Err(Error::Root { attempt: "moved" }),
-            (None, _) => Err(misfit(object, "it is to have no parent, as only the root has")),
+            (None, _) => Err(mismatch(object, "it is to have no parent, as only the root has")),
             (Some(parent), previous) => {
-                self.require(parent.into())?;
+                self.require_object(parent.into())?;
                 let Some(previous) = previous else { return Ok(()) };
-                self.require(previous.into())?;
+                self.require_object(previous.into())?;
                 if self.parent(previous) == Some(parent) {
                     Ok(())
                 } else {
-                    Err(misfit(object, "it is to come after a node with another parent"))
+                    Err(mismatch(object, "it is to come after a node with another parent"))
                 }
             }
         }
     }
 
     /// Whether nothing stays below a node that goes. (That nothing goes below it, its new children's states tell.)
-    fn check_removal(&self, object: Object) -> Result<()> {
-        let Object::Node(node) = object else { return Ok(()) };
+    fn check_removal(&self, object: ObjectKey) -> Result<()> {
+        let ObjectKey::Node(node) = object else { return Ok(()) };
         if node == self.scene.root {
             return Err(Error::Root { attempt: "removed" });
         }
         let mut children = self.scene.children(node).into_iter().flatten();
         match children.find(|&child| self.delta.get(child.into()).is_none()) {
-            Some(child) => Err(misfit(child, "its parent is to go, but it is to stay")),
+            Some(child) => Err(mismatch(child, "its parent is to go, but it is to stay")),
             None => Ok(()),
         }
     }
 
     fn check_root(&self) -> Result<()> {
         let core = match self.delta.get(self.scene.root.into()) {
-            Some(Some(State::Node(root))) => root.core,
+            Some(Some(ObjectState::Node(root))) => root.core,
             _ => self.scene.nodes[self.scene.root].core,
         };
         match self.core(core) {
@@ -201,26 +205,28 @@ impl After<'_> {
     }
 
     /// Whether all users of what goes go too, or use something else.
-    fn check_uses(&self) -> Result<()> {
+    fn check_references(&self) -> Result<()> {
         if self.delta.objects.iter().all(|(_, state)| state.is_some()) {
             return Ok(());
         }
-        let mut ended_uses: HashMap<Object, usize> = HashMap::new();
+        let mut ended_uses: HashMap<ObjectKey, usize> = HashMap::new();
         for old in self.delta.objects.iter().filter_map(|&(object, _)| self.scene.state(object)) {
             for used in old.references().into_iter().filter(|&used| matches!(self.delta.get(used), Some(None))) {
                 *ended_uses.entry(used).or_default() += 1;
             }
         }
-        for (object, _) in self.delta.objects().filter(|(object, state)| state.is_none() && self.scene.has(*object)) {
+        for (object, _) in
+            self.delta.objects().filter(|(object, state)| state.is_none() && self.scene.contains_object(*object))
+        {
             let user_count = match object {
-                Object::Node(key) => self.scene.instancers.get(&key).map_or(0, BTreeSet::len),
-                Object::Core(key) => self.scene.cores[key].user_count,
-                Object::Geometry(key) => self.scene.geometries[key].user_count,
-                Object::Material(key) => self.scene.materials[key].user_count,
-                Object::Texture(key) => self.scene.textures[key].user_count,
+                ObjectKey::Node(key) => self.scene.instancers.get(&key).map_or(0, BTreeSet::len),
+                ObjectKey::Core(key) => self.scene.cores[key].user_count,
+                ObjectKey::Geometry(key) => self.scene.geometries[key].user_count,
+                ObjectKey::Material(key) => self.scene.materials[key].user_count,
+                ObjectKey::Texture(key) => self.scene.textures[key].user_count,
             };
             if user_count != ended_uses.get(&object).copied().unwrap_or(0) {
-                return Err(misfit(object, "it is to go, but something still uses it"));
+                return Err(mismatch(object, "it is to go, but something still uses it"));
             }
         }
         Ok(())
@@ -230,10 +236,10 @@ impl After<'_> {
     fn check_siblings(&self) -> Result<()> {
         let mut places = HashSet::new();
         for (object, state) in self.delta.objects() {
-            if let Some(State::Node(node)) = state
+            if let Some(ObjectState::Node(node)) = state
                 && !places.insert((node.parent, node.previous_sibling))
             {
-                return Err(misfit(object, "another node is to have its place among its siblings"));
+                return Err(mismatch(object, "another node is to have its place among its siblings"));
             }
         }
         Ok(())
@@ -246,8 +252,8 @@ impl After<'_> {
             Enter(NodeKey),
             Leave(NodeKey),
         }
-        let starts = self.ends_of_new_links();
-        let shown_by = if starts.is_empty() { HashMap::new() } else { self.nodes_that_instance() };
+        let starts = self.nodes_with_new_links();
+        let shown_by = if starts.is_empty() { HashMap::new() } else { self.instancing_nodes() };
         let (mut done, mut path) = (HashSet::new(), HashSet::new());
         for start in starts {
             let mut open = vec![Visit::Enter(start)];
@@ -274,20 +280,20 @@ impl After<'_> {
     }
 
     /// Of each new link between a node and its parent or its instance, the node. Each cycle has one.
-    fn ends_of_new_links(&self) -> Vec<NodeKey> {
+    fn nodes_with_new_links(&self) -> Vec<NodeKey> {
         let mut ends = Vec::new();
         for (object, state) in self.delta.objects() {
             match (object, state) {
-                (Object::Node(key), Some(State::Node(state))) => {
+                (ObjectKey::Node(key), Some(ObjectState::Node(state))) => {
                     let old = self.scene.nodes.get(key);
                     if old.is_none_or(|old| old.parent != state.parent) {
                         ends.push(key);
                     }
                     if old.is_none_or(|old| old.core != state.core) {
-                        ends.extend(self.core(state.core).and_then(Core::target));
+                        ends.extend(self.core(state.core).and_then(Core::instance_target));
                     }
                 }
-                (_, Some(State::Core(core))) => ends.extend(core.target()),
+                (_, Some(ObjectState::Core(core))) => ends.extend(core.instance_target()),
                 _ => {}
             }
         }
@@ -295,15 +301,15 @@ impl After<'_> {
     }
 
     /// The nodes with cores that instance each node.
-    fn nodes_that_instance(&self) -> HashMap<NodeKey, Vec<NodeKey>> {
+    fn instancing_nodes(&self) -> HashMap<NodeKey, Vec<NodeKey>> {
         let old = self.scene.instancers.values().flatten().copied();
         let new = self.delta.objects().filter_map(|(object, _)| match object {
-            Object::Core(key) => Some(key),
+            ObjectKey::Core(key) => Some(key),
             _ => None,
         });
         let cores = old.chain(new);
         let targets: HashMap<CoreKey, NodeKey> =
-            cores.filter_map(|key| Some((key, self.core(key)?.target()?))).collect();
+            cores.filter_map(|key| Some((key, self.core(key)?.instance_target()?))).collect();
 
         let stays = |user: &NodeKey| self.delta.get((*user).into()).is_none();
         let old = targets.keys().flat_map(|&key| {
@@ -311,7 +317,7 @@ impl After<'_> {
             users.filter(stays).map(move |user| (user, key))
         });
         let new = self.delta.objects().filter_map(|(object, state)| match (object, state) {
-            (Object::Node(key), Some(State::Node(state))) => Some((key, state.core)),
+            (ObjectKey::Node(key), Some(ObjectState::Node(state))) => Some((key, state.core)),
             _ => None,
         });
         let mut instancing: HashMap<NodeKey, Vec<NodeKey>> = HashMap::new();
@@ -324,6 +330,6 @@ impl After<'_> {
     }
 }
 
-fn misfit(object: impl Into<Object>, what: &'static str) -> Error {
+fn mismatch(object: impl Into<ObjectKey>, what: &'static str) -> Error {
     Error::Delta { object: object.into(), what }
 }

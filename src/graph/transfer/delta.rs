@@ -2,13 +2,13 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::State;
+use super::ObjectState;
 use super::check::check;
 use crate::Result;
-use crate::graph::{Change, Changes, Cursor, Object, Scene};
+use crate::graph::{Change, ChangeCursor, Changes, ObjectKey, Scene};
 
 /// What some objects are to be: each in a given state, or absent. Says it of all objects if it is
-/// [whole](Self::is_whole).
+/// [whole](Self::is_snapshot).
 ///
 /// It comes from [`Scene::delta_since`] or [`Scene::snapshot`], and goes to [`Scene::apply`]. In between it can cross
 /// threads, where it shares the arrays of geometries and textures with its scene, or be serialised with serde.
@@ -17,9 +17,9 @@ use crate::graph::{Change, Changes, Cursor, Object, Scene};
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Delta {
     /// Rising, each object once. Keys order as their slots within a kind.
-    pub(super) objects: Vec<(Object, Option<State>)>,
+    pub(super) objects: Vec<(ObjectKey, Option<ObjectState>)>,
     /// Where it is whole: what keys the scene has given out.
-    pub(super) whole: Option<Generations>,
+    pub(super) snapshot_generations: Option<Generations>,
 }
 
 /// By kind and slot: the highest generation that a key of the scene ever had.
@@ -34,15 +34,15 @@ pub(super) struct Generations {
 
 impl Delta {
     /// Sorts what is to become of each object.
-    pub(super) fn new(objects: impl IntoIterator<Item = (Object, Option<State>)>) -> Self {
+    pub(super) fn new(objects: impl IntoIterator<Item = (ObjectKey, Option<ObjectState>)>) -> Self {
         let mut objects: Vec<_> = objects.into_iter().collect();
         objects.sort_unstable_by_key(|&(object, _)| object);
-        Self { objects, whole: None }
+        Self { objects, snapshot_generations: None }
     }
 
     /// Whether it says what the whole scene is to be: what it does not name is to be absent.
-    pub fn is_whole(&self) -> bool {
-        self.whole.is_some()
+    pub fn is_snapshot(&self) -> bool {
+        self.snapshot_generations.is_some()
     }
 
     /// Number of objects that it names.
@@ -56,12 +56,12 @@ impl Delta {
     }
 
     /// The objects that it names, by rising keys of each kind, and what each is to be: `None` for absent.
-    pub fn objects(&self) -> impl Iterator<Item = (Object, Option<&State>)> {
+    pub fn objects(&self) -> impl Iterator<Item = (ObjectKey, Option<&ObjectState>)> {
         self.objects.iter().map(|(object, state)| (*object, state.as_ref()))
     }
 
     /// What an object is to be: `None` if the delta does not name it. O(log objects).
-    pub(super) fn get(&self, object: Object) -> Option<&Option<State>> {
+    pub(super) fn get(&self, object: ObjectKey) -> Option<&Option<ObjectState>> {
         let place = self.objects.binary_search_by_key(&object, |&(object, _)| object).ok()?;
         Some(&self.objects[place].1)
     }
@@ -72,7 +72,7 @@ impl Scene {
     /// The whole scene, as a delta that makes any scene equal to it. O(objects): arrays are shared, not copied.
     pub fn snapshot(&self) -> Delta {
         let mut delta = Delta::new(self.objects().map(|object| (object, self.state(object))));
-        delta.whole = Some(Generations {
+        delta.snapshot_generations = Some(Generations {
             nodes: self.nodes.generations().to_vec(),
             cores: self.cores.generations().to_vec(),
             geometries: self.geometries.generations().to_vec(),
@@ -141,7 +141,7 @@ impl Scene {
     ///
     /// Not guaranteed: equality where the mirror is also edited itself. Keys of objects that came and went between two
     /// reads are not known to it as given out.
-    pub fn delta_since(&mut self, cursor: &mut Cursor) -> Delta {
+    pub fn delta_since(&mut self, cursor: &mut ChangeCursor) -> Delta {
         match self.changes_since(cursor) {
             Changes::Everything => self.snapshot(),
             Changes::Since(changes) => {
@@ -173,7 +173,7 @@ impl Scene {
     ///   the setters.
     /// - [`Error::Limit`](crate::Error::Limit) where a key's slot is far beyond those in use.
     pub fn apply(&mut self, delta: &Delta) -> Result<()> {
-        let Some(generations) = &delta.whole else {
+        let Some(generations) = &delta.snapshot_generations else {
             return self.apply_objects(delta);
         };
         let others = self.objects().filter(|&object| delta.get(object).is_none()).map(|object| (object, None));
@@ -182,7 +182,7 @@ impl Scene {
             self.apply_objects(delta)?;
         } else {
             let complete = Delta::new(delta.objects.iter().cloned().chain(others));
-            self.apply_objects(&Delta { whole: delta.whole.clone(), ..complete })?;
+            self.apply_objects(&Delta { snapshot_generations: delta.snapshot_generations.clone(), ..complete })?;
         }
         self.nodes.raise_generations(&generations.nodes);
         self.cores.raise_generations(&generations.cores);
@@ -194,7 +194,7 @@ impl Scene {
 
     pub(super) fn apply_objects(&mut self, delta: &Delta) -> Result<()> {
         let order = check(self, delta)?;
-        self.put(delta, &order);
+        self.write_states(delta, &order);
         Ok(())
     }
 }

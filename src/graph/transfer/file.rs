@@ -4,8 +4,8 @@ use std::io::{self, Read, Write};
 use std::path::Path;
 
 use super::{Delta, Replay};
+use crate::atomic_file::write_atomically;
 use crate::graph::Scene;
-use crate::whole_file::write_whole;
 use crate::{Error, Result};
 
 /// What a scene file or recording begins with.
@@ -17,7 +17,7 @@ const VERSION: u32 = 2;
 /// What is wrong with a scene file or recording.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-pub enum SceneFileFault {
+pub enum SceneFileError {
     /// It does not begin as such a file does.
     #[error("this is not a Ropewalk scene or recording")]
     NotAScene,
@@ -56,7 +56,7 @@ pub enum SceneFileFault {
     },
     /// It can be read, but does not fit the scene before it.
     #[error("{0}")]
-    Misfit(Box<Error>),
+    Mismatch(Box<Error>),
 }
 
 /// Files.
@@ -92,7 +92,9 @@ impl Scene {
         let path = path.as_ref();
         let mut bytes = Vec::new();
         let written = write_header(&mut bytes).and_then(|()| write_frame(&mut bytes, &self.snapshot()));
-        written.and_then(|()| write_whole(path, &bytes)).map_err(|source| Error::Io { path: path.to_owned(), source })
+        written
+            .and_then(|()| write_atomically(path, &bytes))
+            .map_err(|source| Error::Io { path: path.to_owned(), source })
     }
 
     /// Reads a scene that was [saved](Self::save), or the last state in a [recording](super::Recorder). Keys of the
@@ -107,7 +109,7 @@ impl Scene {
         let mut replay = Replay::open(path)?;
         let mut scene = Self::new();
         if !replay.apply_next(&mut scene)? {
-            return Err(Error::SceneFile { path: path.to_owned(), frame: 0, fault: SceneFileFault::Truncated });
+            return Err(Error::SceneFile { path: path.to_owned(), frame: 0, source: SceneFileError::Truncated });
         }
         while replay.apply_next(&mut scene)? {}
         Ok(scene)
@@ -116,22 +118,22 @@ impl Scene {
 
 /// Why a part of a file could not be read.
 #[derive(Debug)]
-pub(super) enum ReadFault {
+pub(super) enum ReadError {
     Io(io::Error),
-    File(SceneFileFault),
+    File(SceneFileError),
 }
 
-impl ReadFault {
+impl ReadError {
     pub(super) fn at(self, path: &Path, frame: usize) -> Error {
         match self {
             Self::Io(source) => Error::Io { path: path.to_owned(), source },
-            Self::File(fault) => Error::SceneFile { path: path.to_owned(), frame, fault },
+            Self::File(fault) => Error::SceneFile { path: path.to_owned(), frame, source: fault },
         }
     }
 }
 
-impl From<SceneFileFault> for ReadFault {
-    fn from(fault: SceneFileFault) -> Self {
+impl From<SceneFileError> for ReadError {
+    fn from(fault: SceneFileError) -> Self {
         Self::File(fault)
     }
 }
@@ -141,15 +143,15 @@ pub(super) fn write_header(file: &mut impl Write) -> io::Result<()> {
     file.write_all(&VERSION.to_le_bytes())
 }
 
-pub(super) fn read_header(file: &mut impl Read) -> Result<(), ReadFault> {
-    let header: [u8; 12] = read_array(file)?.ok_or(SceneFileFault::NotAScene)?;
+pub(super) fn read_header(file: &mut impl Read) -> Result<(), ReadError> {
+    let header: [u8; 12] = read_array(file)?.ok_or(SceneFileError::NotAScene)?;
     let (magic, version) = header.split_at(MAGIC.len());
     if magic != MAGIC {
-        return Err(SceneFileFault::NotAScene.into());
+        return Err(SceneFileError::NotAScene.into());
     }
     match u32_at(version, 0) {
-        found if found > VERSION => Err(SceneFileFault::Newer { found, supported: VERSION }.into()),
-        found if found < VERSION => Err(SceneFileFault::Older { found, supported: VERSION }.into()),
+        found if found > VERSION => Err(SceneFileError::Newer { found, supported: VERSION }.into()),
+        found if found < VERSION => Err(SceneFileError::Older { found, supported: VERSION }.into()),
         _ => Ok(()),
     }
 }
@@ -162,36 +164,36 @@ pub(super) fn write_frame(file: &mut impl Write, delta: &Delta) -> io::Result<()
 }
 
 /// The next frame; `None` at the end of the file.
-pub(super) fn read_frame(file: &mut impl Read) -> Result<Option<Delta>, ReadFault> {
+pub(super) fn read_frame(file: &mut impl Read) -> Result<Option<Delta>, ReadError> {
     let Some(head) = read_array::<12>(file)? else { return Ok(None) };
     let length = u64::from(u32_at(&head, 0)) | u64::from(u32_at(&head, 4)) << 32;
     let expected = u32_at(&head, 8);
 
     // Allocates what there is, whatever the length says.
     let mut body = Vec::new();
-    file.take(length).read_to_end(&mut body).map_err(ReadFault::Io)?;
+    file.take(length).read_to_end(&mut body).map_err(ReadError::Io)?;
     if (body.len() as u64) < length {
-        return Err(SceneFileFault::Truncated.into());
+        return Err(SceneFileError::Truncated.into());
     }
     let found = crc32fast::hash(&body);
     if found != expected {
-        return Err(SceneFileFault::Checksum { expected, found }.into());
+        return Err(SceneFileError::Checksum { expected, found }.into());
     }
     match postcard::take_from_bytes(&body) {
         Ok((delta, [])) => Ok(Some(delta)),
-        Ok((_, rest)) => Err(SceneFileFault::Encoding { cause: format!("{} bytes are left over", rest.len()) }.into()),
-        Err(error) => Err(SceneFileFault::Encoding { cause: error.to_string() }.into()),
+        Ok((_, rest)) => Err(SceneFileError::Encoding { cause: format!("{} bytes are left over", rest.len()) }.into()),
+        Err(error) => Err(SceneFileError::Encoding { cause: error.to_string() }.into()),
     }
 }
 
 /// Bytes of which there are all or, at the end of the file, none.
-fn read_array<const N: usize>(file: &mut impl Read) -> Result<Option<[u8; N]>, ReadFault> {
+fn read_array<const N: usize>(file: &mut impl Read) -> Result<Option<[u8; N]>, ReadError> {
     let mut bytes = Vec::with_capacity(N);
-    file.take(N as u64).read_to_end(&mut bytes).map_err(ReadFault::Io)?;
+    file.take(N as u64).read_to_end(&mut bytes).map_err(ReadError::Io)?;
     match <[u8; N]>::try_from(bytes) {
         Ok(array) => Ok(Some(array)),
         Err(bytes) if bytes.is_empty() => Ok(None),
-        Err(_) => Err(SceneFileFault::Truncated.into()),
+        Err(_) => Err(SceneFileError::Truncated.into()),
     }
 }
 

@@ -3,20 +3,20 @@
 use std::collections::HashMap;
 
 use super::check::order_of_siblings;
-use super::undo::History;
-use super::{Delta, State};
+use super::undo::UndoHistory;
+use super::{Delta, ObjectState};
 use crate::Result;
-use crate::graph::{Object, Scene};
+use crate::graph::{ObjectKey, Scene};
 
 /// What objects were before the first edit of each, `None` for absent.
-pub(super) type Before = HashMap<Object, Option<State>>;
+pub(super) type PriorStates = HashMap<ObjectKey, Option<ObjectState>>;
 
 /// What was before each open transaction, and before the edits that undo is going to take back.
 #[derive(Debug, Default)]
 pub(in crate::graph) struct Journal {
     /// The innermost last.
-    transactions: Vec<Before>,
-    pub(super) history: Option<History>,
+    transactions: Vec<PriorStates>,
+    pub(super) history: Option<UndoHistory>,
 }
 
 impl Journal {
@@ -29,8 +29,8 @@ impl Journal {
     }
 
     /// Where edits are noted now.
-    fn innermost(&mut self) -> Option<&mut Before> {
-        self.transactions.last_mut().or_else(|| Some(self.history.as_mut()?.edited()))
+    fn innermost(&mut self) -> Option<&mut PriorStates> {
+        self.transactions.last_mut().or_else(|| Some(self.history.as_mut()?.prior_states_mut()))
     }
 }
 
@@ -38,14 +38,14 @@ impl Journal {
 impl Scene {
     /// Notes what an object is, unless that is known. To be called before each edit of an object. Costs a branch where
     /// nobody wants to know.
-    pub(in crate::graph) fn touch(&mut self, object: impl Into<Object>) {
+    pub(in crate::graph) fn save_prior_state(&mut self, object: impl Into<ObjectKey>) {
         if self.journal.is_active() {
-            self.note(object.into());
+            self.save_state_once(object.into());
         }
     }
 
     /// Notes that an object that is here now was not before.
-    pub(in crate::graph) fn touch_new(&mut self, object: Object) {
+    pub(in crate::graph) fn save_as_absent(&mut self, object: ObjectKey) {
         if let Some(before) = self.journal.innermost() {
             before.entry(object).or_insert(None);
         }
@@ -53,7 +53,7 @@ impl Scene {
 
     /// Notes nothing of an object that is gone now and was not there before the group either: it only passed. (A
     /// transaction does not last long enough for that to matter.)
-    pub(in crate::graph) fn forget_passing(&mut self, object: Object) {
+    pub(in crate::graph) fn discard_transient(&mut self, object: ObjectKey) {
         if !self.journal.is_in_transaction()
             && let Some(before) = self.journal.innermost()
             && before.get(&object) == Some(&None)
@@ -62,8 +62,8 @@ impl Scene {
         }
     }
 
-    fn note(&mut self, object: Object) {
-        let is_known = |before: &mut Before| before.contains_key(&object);
+    fn save_state_once(&mut self, object: ObjectKey) {
+        let is_known = |before: &mut PriorStates| before.contains_key(&object);
         if !self.journal.innermost().is_some_and(is_known) {
             let state = self.state(object);
             if let Some(before) = self.journal.innermost() {
@@ -98,7 +98,7 @@ impl Scene {
     /// # Errors
     /// Those of `edit`. Then the scene is as it was, but for its [`revision`](Self::revision).
     pub fn transaction<T>(&mut self, edit: impl FnOnce(&mut Self) -> Result<T>) -> Result<T> {
-        self.journal.transactions.push(Before::new());
+        self.journal.transactions.push(PriorStates::new());
         let mut transaction = Transaction { scene: self, is_done: false };
         let value = edit(transaction.scene)?;
         transaction.is_done = true;
@@ -116,16 +116,16 @@ impl Drop for Transaction<'_> {
     fn drop(&mut self) {
         let before = self.scene.journal.transactions.pop().unwrap_or_default();
         if self.is_done {
-            self.scene.journal.absorb(before);
+            self.scene.journal.merge_into_outer(before);
         } else {
-            self.scene.put_back(&Delta::new(before));
+            self.scene.restore(&Delta::new(before));
         }
     }
 }
 
 impl Journal {
     /// Makes a transaction that is done part of what is around it, which has seen none of its edits.
-    fn absorb(&mut self, done: Before) {
+    fn merge_into_outer(&mut self, done: PriorStates) {
         if done.is_empty() {
             return;
         }
@@ -139,9 +139,9 @@ impl Journal {
 
 impl Scene {
     /// Makes objects be what they were, without noting it.
-    pub(super) fn put_back(&mut self, before: &Delta) {
+    pub(super) fn restore(&mut self, before: &Delta) {
         let journal = std::mem::take(&mut self.journal);
-        self.put(before, &order_of_siblings(before).0);
+        self.write_states(before, &order_of_siblings(before).0);
         self.journal = journal;
     }
 }

@@ -78,7 +78,10 @@ pub struct EditSender {
 impl EditSender {
     /// Sends a batch of edits, to be applied whole or not at all when the scene's thread next calls
     /// [`EditQueue::apply`]. Does not wait for that; what it gives back can, or can be dropped.
-    pub fn send<T: Send + 'static>(&self, batch: impl FnOnce(&mut Scene) -> Result<T> + Send + 'static) -> Pending<T> {
+    pub fn send<T: Send + 'static>(
+        &self,
+        batch: impl FnOnce(&mut Scene) -> Result<T> + Send + 'static,
+    ) -> PendingEdit<T> {
         let (outcome, pending) = channel();
         let batch = move |scene: &mut Scene| {
             // A sender that does not want to know has dropped the other end.
@@ -86,18 +89,18 @@ impl EditSender {
         };
         // Where the queue is gone, the batch goes, and the outcome's sender with it: that is what `wait` sees.
         let _ = self.batches.send(Box::new(batch));
-        Pending { outcome: pending }
+        PendingEdit { outcome: pending }
     }
 }
 
 /// The outcome of a batch that was sent.
 #[derive(Debug)]
 #[must_use = "drop it if the outcome does not matter"]
-pub struct Pending<T> {
+pub struct PendingEdit<T> {
     outcome: Receiver<Result<T>>,
 }
 
-impl<T> Pending<T> {
+impl<T> PendingEdit<T> {
     /// Waits until the batch has been applied or has failed. On the scene's own thread that is forever.
     ///
     /// # Errors

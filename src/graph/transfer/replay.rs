@@ -5,8 +5,8 @@ use std::io::{BufReader, BufWriter, Write as _};
 use std::path::{Path, PathBuf};
 
 use super::Delta;
-use super::file::{SceneFileFault, read_frame, read_header, write_frame, write_header};
-use crate::graph::{Cursor, Scene};
+use super::file::{SceneFileError, read_frame, read_header, write_frame, write_header};
+use crate::graph::{ChangeCursor, Scene};
 use crate::{Error, Result};
 
 /// Records what happens to a scene, so that a bug report is a file.
@@ -38,7 +38,7 @@ use crate::{Error, Result};
 pub struct Recorder {
     path: PathBuf,
     file: BufWriter<File>,
-    cursor: Cursor,
+    cursor: ChangeCursor,
 }
 
 impl Recorder {
@@ -53,7 +53,7 @@ impl Recorder {
             write_header(&mut file).map(|()| file)
         });
         let file = started.map_err(|source| Error::Io { path: path.clone(), source })?;
-        let mut recorder = Self { path, file, cursor: Cursor::default() };
+        let mut recorder = Self { path, file, cursor: ChangeCursor::default() };
         recorder.record(scene)?;
         Ok(recorder)
     }
@@ -118,7 +118,7 @@ impl Replay {
         scene.apply(&delta).map_err(|error| Error::SceneFile {
             path: self.path.clone(),
             frame: self.frame - 1,
-            fault: SceneFileFault::Misfit(Box::new(error)),
+            source: SceneFileError::Mismatch(Box::new(error)),
         })?;
         Ok(true)
     }

@@ -3,12 +3,12 @@
 use serde::{Deserialize, Serialize};
 
 use crate::graph::key_map::slot;
-use crate::graph::{Core, CoreKey, Geometry, Material, NodeKey, Object, Scene, Texture};
+use crate::graph::{Core, CoreKey, Geometry, Material, NodeKey, ObjectKey, Scene, Texture};
 
 /// All that one object is. The arrays of geometries and textures are shared with the scene, so that a copy is cheap.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
-pub enum State {
+pub enum ObjectState {
     /// Of a node.
     Node(NodeState),
     /// Of a core.
@@ -38,27 +38,27 @@ pub struct NodeState {
     pub name: Box<str>,
 }
 
-impl State {
+impl ObjectState {
     /// Whether an object can be in this state at all: a node in that of a node.
-    pub(super) fn fits(&self, object: Object) -> bool {
+    pub(super) fn matches_kind(&self, object: ObjectKey) -> bool {
         matches!(
             (self, object),
-            (Self::Node(_), Object::Node(_))
-                | (Self::Core(_), Object::Core(_))
-                | (Self::Geometry(_), Object::Geometry(_))
-                | (Self::Material(_), Object::Material(_))
-                | (Self::Texture(_), Object::Texture(_))
+            (Self::Node(_), ObjectKey::Node(_))
+                | (Self::Core(_), ObjectKey::Core(_))
+                | (Self::Geometry(_), ObjectKey::Geometry(_))
+                | (Self::Material(_), ObjectKey::Material(_))
+                | (Self::Texture(_), ObjectKey::Texture(_))
         )
     }
 
     /// The objects that one in this state refers to and counts as used, some of them twice.
-    pub(super) fn references(&self) -> Vec<Object> {
+    pub(super) fn references(&self) -> Vec<ObjectKey> {
         match self {
             Self::Node(node) => vec![node.core.into()],
             Self::Core(core) => {
-                let geometry = core.geometry().map(Object::from);
-                let target = core.target().map(Object::from);
-                geometry.into_iter().chain(core.material().map(Object::from)).chain(target).collect()
+                let geometry = core.geometry().map(ObjectKey::from);
+                let target = core.instance_target().map(ObjectKey::from);
+                geometry.into_iter().chain(core.material().map(ObjectKey::from)).chain(target).collect()
             }
             Self::Material(material) => material.textures().map(|texture| texture.texture.into()).collect(),
             Self::Geometry(_) | Self::Texture(_) => vec![],
@@ -68,11 +68,11 @@ impl State {
 
 impl Scene {
     /// All that an object is; `None` if it is not in the scene. O(1).
-    pub fn state(&self, object: Object) -> Option<State> {
+    pub fn state(&self, object: ObjectKey) -> Option<ObjectState> {
         Some(match object {
-            Object::Node(key) => {
+            ObjectKey::Node(key) => {
                 let node = self.nodes.get(key)?;
-                State::Node(NodeState {
+                ObjectState::Node(NodeState {
                     parent: node.parent,
                     previous_sibling: node.previous_sibling,
                     core: node.core,
@@ -81,51 +81,51 @@ impl Scene {
                     name: node.name.clone(),
                 })
             }
-            Object::Core(key) => State::Core(self.cores.get(key)?.core.clone()),
-            Object::Geometry(key) => State::Geometry(self.geometries.get(key)?.value.geometry.clone()),
-            Object::Material(key) => State::Material(Box::new(self.materials.get(key)?.value.clone())),
-            Object::Texture(key) => State::Texture(self.textures.get(key)?.value.clone()),
+            ObjectKey::Core(key) => ObjectState::Core(self.cores.get(key)?.core.clone()),
+            ObjectKey::Geometry(key) => ObjectState::Geometry(self.geometries.get(key)?.value.geometry.clone()),
+            ObjectKey::Material(key) => ObjectState::Material(Box::new(self.materials.get(key)?.value.clone())),
+            ObjectKey::Texture(key) => ObjectState::Texture(self.textures.get(key)?.value.clone()),
         })
     }
 
     /// Whether the scene has this object.
-    pub(super) fn has(&self, object: Object) -> bool {
+    pub(super) fn contains_object(&self, object: ObjectKey) -> bool {
         match object {
-            Object::Node(key) => self.nodes.contains_key(key),
-            Object::Core(key) => self.cores.contains_key(key),
-            Object::Geometry(key) => self.geometries.contains_key(key),
-            Object::Material(key) => self.materials.contains_key(key),
-            Object::Texture(key) => self.textures.contains_key(key),
+            ObjectKey::Node(key) => self.nodes.contains_key(key),
+            ObjectKey::Core(key) => self.cores.contains_key(key),
+            ObjectKey::Geometry(key) => self.geometries.contains_key(key),
+            ObjectKey::Material(key) => self.materials.contains_key(key),
+            ObjectKey::Texture(key) => self.textures.contains_key(key),
         }
     }
 
     /// The slot of the object's key, the object that is there now, and how many such slots there are.
-    pub(super) fn place(&self, object: Object) -> (usize, Option<Object>, usize) {
+    pub(super) fn slot_occupancy(&self, object: ObjectKey) -> (usize, Option<ObjectKey>, usize) {
         match object {
-            Object::Node(key) => {
+            ObjectKey::Node(key) => {
                 (slot(key), self.nodes.key_at(slot(key)).map(Into::into), self.nodes.generations().len())
             }
-            Object::Core(key) => {
+            ObjectKey::Core(key) => {
                 (slot(key), self.cores.key_at(slot(key)).map(Into::into), self.cores.generations().len())
             }
-            Object::Geometry(key) => {
+            ObjectKey::Geometry(key) => {
                 (slot(key), self.geometries.key_at(slot(key)).map(Into::into), self.geometries.generations().len())
             }
-            Object::Material(key) => {
+            ObjectKey::Material(key) => {
                 (slot(key), self.materials.key_at(slot(key)).map(Into::into), self.materials.generations().len())
             }
-            Object::Texture(key) => {
+            ObjectKey::Texture(key) => {
                 (slot(key), self.textures.key_at(slot(key)).map(Into::into), self.textures.generations().len())
             }
         }
     }
 
     /// All objects, by rising keys of each kind. O(slots).
-    pub(super) fn objects(&self) -> impl Iterator<Item = Object> {
-        let nodes = self.nodes.keys().map(Object::from);
-        let cores = self.cores.keys().map(Object::from);
-        let geometries = self.geometries.keys().map(Object::from);
-        let materials = self.materials.keys().map(Object::from);
-        nodes.chain(cores).chain(geometries).chain(materials).chain(self.textures.keys().map(Object::from))
+    pub(super) fn objects(&self) -> impl Iterator<Item = ObjectKey> {
+        let nodes = self.nodes.keys().map(ObjectKey::from);
+        let cores = self.cores.keys().map(ObjectKey::from);
+        let geometries = self.geometries.keys().map(ObjectKey::from);
+        let materials = self.materials.keys().map(ObjectKey::from);
+        nodes.chain(cores).chain(geometries).chain(materials).chain(self.textures.keys().map(ObjectKey::from))
     }
 }

@@ -3,42 +3,42 @@
 use std::collections::VecDeque;
 
 use super::Delta;
-use super::journal::Before;
+use super::journal::PriorStates;
 use crate::graph::Scene;
 use crate::{Error, Result};
 
 /// What undo and redo can do.
 #[derive(Debug)]
-pub(super) struct History {
+pub(super) struct UndoHistory {
     limit: usize,
     /// To be undone; the newest last.
-    undo_groups: VecDeque<Group>,
+    undo_groups: VecDeque<UndoGroup>,
     /// To be redone; the one that was undone last, last.
-    redo_groups: Vec<Group>,
+    redo_groups: Vec<UndoGroup>,
     /// What objects were before the edits since the last group.
-    open: Before,
+    open: PriorStates,
 }
 
 /// What the objects of a group of edits were on the other side of it.
 #[derive(Debug)]
-struct Group {
+struct UndoGroup {
     name: String,
     states: Delta,
 }
 
-impl History {
+impl UndoHistory {
     /// Where edits are to be noted. They end what could be redone.
-    pub(super) fn edited(&mut self) -> &mut Before {
+    pub(super) fn prior_states_mut(&mut self) -> &mut PriorStates {
         self.redo_groups.clear();
         &mut self.open
     }
 
-    fn push_undo(&mut self, group: Group) {
+    fn push_undo(&mut self, group: UndoGroup) {
         self.undo_groups.push_back(group);
-        self.keep_to_limit();
+        self.trim_to_limit();
     }
 
-    fn keep_to_limit(&mut self) {
+    fn trim_to_limit(&mut self) {
         while self.undo_groups.len() > self.limit {
             self.undo_groups.pop_front();
         }
@@ -76,11 +76,11 @@ impl Scene {
     /// # Ok::<(), ropewalk::Error>(())
     /// ```
     pub fn enable_undo(&mut self) {
-        self.journal.history.get_or_insert_with(|| History {
+        self.journal.history.get_or_insert_with(|| UndoHistory {
             limit: Self::DEFAULT_UNDO_LIMIT,
             undo_groups: VecDeque::new(),
             redo_groups: Vec::new(),
-            open: Before::new(),
+            open: PriorStates::new(),
         });
     }
 
@@ -93,7 +93,7 @@ impl Scene {
     pub fn set_undo_limit(&mut self, groups: usize) {
         if let Some(history) = &mut self.journal.history {
             history.limit = groups;
-            history.keep_to_limit();
+            history.trim_to_limit();
         }
     }
 
@@ -106,11 +106,11 @@ impl Scene {
         let Some(history) = &mut self.journal.history else { return };
         let mut before = std::mem::take(&mut history.open);
         // Not what came and went.
-        before.retain(|&object, state| state.is_some() || self.has(object));
+        before.retain(|&object, state| state.is_some() || self.contains_object(object));
         if let Some(history) = &mut self.journal.history
             && !before.is_empty()
         {
-            history.push_undo(Group { name: name.into(), states: Delta::new(before) });
+            history.push_undo(UndoGroup { name: name.into(), states: Delta::new(before) });
         }
     }
 
@@ -125,7 +125,7 @@ impl Scene {
         let Some(group) = self.journal.history.as_mut().and_then(|history| history.undo_groups.pop_back()) else {
             return Ok(None);
         };
-        let group = self.go_across(group);
+        let group = self.swap_states(group);
         let name = group.name.clone();
         if let Some(history) = &mut self.journal.history {
             history.redo_groups.push(group);
@@ -143,7 +143,7 @@ impl Scene {
         let Some(group) = self.journal.history.as_mut().and_then(|history| history.redo_groups.pop()) else {
             return Ok(None);
         };
-        let group = self.go_across(group);
+        let group = self.swap_states(group);
         let name = group.name.clone();
         if let Some(history) = &mut self.journal.history {
             history.push_undo(group);
@@ -164,11 +164,11 @@ impl Scene {
     }
 
     /// Makes the objects of a group what they were on the other side of it; gives the group as seen from there.
-    fn go_across(&mut self, group: Group) -> Group {
+    fn swap_states(&mut self, group: UndoGroup) -> UndoGroup {
         let objects = group.states.objects().map(|(object, _)| object);
         let states = Delta::new(objects.map(|object| (object, self.state(object))));
-        self.put_back(&group.states);
-        Group { name: group.name, states }
+        self.restore(&group.states);
+        UndoGroup { name: group.name, states }
     }
 
     fn require_no_transaction(&self, attempt: &'static str) -> Result<()> {

@@ -3,24 +3,24 @@
 use fearless_simd::{Level, Simd};
 use glam::Vec3;
 
-use super::hybrid::ask_packets;
-use super::packet_queries::{Answers, AnyHits, ClosestHits, Transmittances};
-use super::packet_traversal::Memory;
+use super::hybrid::trace_packets;
+use super::packet_queries::{AnyPacket, ClosestPacket, PacketQuery, TransmittancePacket};
+use super::packet_traversal::HybridScratch;
 use super::simd::LANES;
-use crate::device::layout::{Hit, Ray};
-use crate::trace::Layout;
+use crate::device::layout::{HitRecord, RayRecord};
+use crate::trace::Traversal;
 use crate::trace::kernel::{KernelScene, any_hit, closest_hit, transmittance};
 
 /// What a task traces rays with.
-pub(super) struct Rays<'a> {
+pub(super) struct PacketTracer<'a> {
     pub(super) scene: &'a KernelScene<'a>,
-    lanes: Option<Level>,
-    memory: Box<Memory>,
+    simd_level: Option<Level>,
+    scratch: Box<HybridScratch>,
 }
 
 /// Calls a function with the widest lanes of this processor. What is compiled is compiled once for each of these, which takes its time: so
 /// there are no more than users have.
-macro_rules! with_lanes {
+macro_rules! dispatch_simd {
     ($level:expr, $simd:ident => $call:expr) => {
         match $level {
             #[cfg(target_arch = "x86_64")]
@@ -44,7 +44,7 @@ macro_rules! with_lanes {
 }
 
 /// The processor's lanes, if it has those that the walks are compiled for.
-fn lanes() -> Option<Level> {
+fn supported_simd_level() -> Option<Level> {
     let level = Level::new();
     match level {
         #[cfg(target_arch = "x86_64")]
@@ -55,32 +55,32 @@ fn lanes() -> Option<Level> {
     }
 }
 
-impl<'a> Rays<'a> {
+impl<'a> PacketTracer<'a> {
     pub(super) fn new(scene: &'a KernelScene<'a>) -> Self {
         // Arrays made by hand may have no wide nodes: they are walked along escape indices, a ray at a time.
-        let lanes = if scene.layout == Layout::Wide { lanes() } else { None };
-        Self { scene, lanes, memory: bytemuck::zeroed_box() }
+        let lanes = if scene.layout == Traversal::Wide { supported_simd_level() } else { None };
+        Self { scene, simd_level: lanes, scratch: bytemuck::zeroed_box() }
     }
 
     /// Of the rays that are asked, here and below, sixteen that follow one another best go much the same way.
-    pub(super) fn closest_hits(&mut self, rays: &[Ray], ray_mask: u32, hits: &mut [Hit]) {
-        match self.lanes {
-            Some(level) => self.ask::<ClosestHits>(level, rays, ray_mask, hits),
+    pub(super) fn closest_hits(&mut self, rays: &[RayRecord], ray_mask: u32, hits: &mut [HitRecord]) {
+        match self.simd_level {
+            Some(level) => self.trace_rays::<ClosestPacket>(level, rays, ray_mask, hits),
             None => hits.iter_mut().zip(rays).for_each(|(hit, ray)| *hit = closest_hit(self.scene, ray, ray_mask)),
         }
     }
 
-    pub(super) fn any_hits(&mut self, rays: &[Ray], ray_mask: u32, hits: &mut [bool]) {
-        match self.lanes {
-            Some(level) => self.ask::<AnyHits>(level, rays, ray_mask, hits),
+    pub(super) fn any_hits(&mut self, rays: &[RayRecord], ray_mask: u32, hits: &mut [bool]) {
+        match self.simd_level {
+            Some(level) => self.trace_rays::<AnyPacket>(level, rays, ray_mask, hits),
             None => hits.iter_mut().zip(rays).for_each(|(hit, ray)| *hit = any_hit(self.scene, ray, ray_mask)),
         }
     }
 
     /// How much light gets through.
-    pub(super) fn transmittances(&mut self, rays: &[Ray], ray_mask: u32, light: &mut [Vec3]) {
-        match self.lanes {
-            Some(level) => self.ask::<Transmittances>(level, rays, ray_mask, light),
+    pub(super) fn transmittances(&mut self, rays: &[RayRecord], ray_mask: u32, light: &mut [Vec3]) {
+        match self.simd_level {
+            Some(level) => self.trace_rays::<TransmittancePacket>(level, rays, ray_mask, light),
             None => {
                 light.iter_mut().zip(rays).for_each(|(light, ray)| *light = transmittance(self.scene, ray, ray_mask));
             }
@@ -88,16 +88,22 @@ impl<'a> Rays<'a> {
     }
 
     /// By whole packets; where rays are left over, by one more that has rays which meet nothing.
-    fn ask<A: Answers<Hit: Copy>>(&mut self, level: Level, rays: &[Ray], ray_mask: u32, hits: &mut [A::Hit]) {
-        let (scene, memory) = (self.scene, &mut *self.memory);
-        let mut ask = |rays: &[[Ray; LANES]], hits: &mut [[A::Hit; LANES]]| {
-            with_lanes!(level, simd => ask_packets::<_, A>(simd, scene, memory, rays, ray_mask, hits));
+    fn trace_rays<A: PacketQuery<Output: Copy>>(
+        &mut self,
+        level: Level,
+        rays: &[RayRecord],
+        ray_mask: u32,
+        hits: &mut [A::Output],
+    ) {
+        let (scene, memory) = (self.scene, &mut *self.scratch);
+        let mut ask = |rays: &[[RayRecord; LANES]], hits: &mut [[A::Output; LANES]]| {
+            dispatch_simd!(level, simd => trace_packets::<_, A>(simd, scene, memory, rays, ray_mask, hits));
         };
         let (packets, rest) = rays.as_chunks();
         let (hits, hits_of_rest) = hits.as_chunks_mut();
         ask(packets, hits);
         if let Some(first) = rest.first() {
-            let mut packet = [Ray { t_max: f32::NEG_INFINITY, ..*first }; LANES];
+            let mut packet = [RayRecord { t_max: f32::NEG_INFINITY, ..*first }; LANES];
             packet[..rest.len()].copy_from_slice(rest);
             let mut hits = [A::MISS; LANES];
             ask(&[packet], std::array::from_mut(&mut hits));
@@ -113,7 +119,7 @@ mod tests {
     use super::*;
     use crate::compile::Compiler;
     use crate::trace::kernel::is_layered;
-    use crate::{Core, Geometry, Material, Quality, Scene, Structure};
+    use crate::{BlasKind, Core, Geometry, Material, Quality, Scene};
 
     /// Numbers between -1 and 1, by a linear congruence.
     fn random(state: &mut u64) -> f32 {
@@ -137,11 +143,11 @@ mod tests {
         // Most of it lets light through, a half with triangles in several leaves.
         let tint = Vec4::new(0.5, 0.7, 0.9, 1.0);
         let [opaque, panes] = [Material::default(), Material { base_color: tint, ..Material::glass(1.5) }];
-        let structure = Some(Structure::Bvh(Quality::Best));
+        let structure = Some(BlasKind::Bvh(Quality::High));
         let parts = [
             (opaque, Geometry::new(corners.clone(), indices[..200].to_vec())),
             (panes.clone(), Geometry::new(corners.clone(), indices[200..300].to_vec())),
-            (panes, Geometry { structure, ..Geometry::new(corners, indices[300..].to_vec()) }),
+            (panes, Geometry { blas_kind: structure, ..Geometry::new(corners, indices[300..].to_vec()) }),
         ];
         for (material, geometry) in parts {
             let (geometry, material) = (scene.add_geometry(geometry).unwrap(), scene.add_material(material).unwrap());
@@ -152,7 +158,7 @@ mod tests {
 
         // Packets that start at a point and go much the same way, packets that do not, and some along an axis with a direction so short that
         // where they meet most planes is beyond all numbers; the last one is not full.
-        let rays: Vec<Ray> = (0..2_507)
+        let rays: Vec<RayRecord> = (0..2_507)
             .map(|i| {
                 let aim = Vec3::new((i / 16 % 16) as f32 / 8.0 - 1.0, (i / 256) as f32 / 2.0 - 1.0, 0.0);
                 let (origin, direction) = match i {
@@ -164,13 +170,13 @@ mod tests {
                     }
                 };
                 let (origin, direction) = (origin * 1e3, direction * 1e3);
-                Ray { origin: origin.to_array(), t_min: 0.0, direction: direction.to_array(), t_max: f32::MAX }
+                RayRecord { origin: origin.to_array(), t_min: 0.0, direction: direction.to_array(), t_max: f32::MAX }
             })
             .collect();
-        let scene = KernelScene::with_layout(compiler.arrays(), Layout::Wide);
+        let scene = KernelScene::with_layout(compiler.arrays(), Traversal::Wide);
         let trace = |lanes: Option<Level>| {
-            let mut tracer = Rays { scene: &scene, lanes, memory: bytemuck::zeroed_box() };
-            let (mut hits, mut any) = (vec![Hit::MISS; rays.len()], vec![false; rays.len()]);
+            let mut tracer = PacketTracer { scene: &scene, simd_level: lanes, scratch: bytemuck::zeroed_box() };
+            let (mut hits, mut any) = (vec![HitRecord::MISS; rays.len()], vec![false; rays.len()]);
             let mut light = vec![Vec3::NAN; rays.len()];
             tracer.closest_hits(&rays, u32::MAX, &mut hits);
             tracer.any_hits(&rays, u32::MAX, &mut any);
@@ -189,7 +195,7 @@ mod tests {
         #[cfg(target_arch = "x86_64")]
         let all = [level.as_avx512().map(Level::Avx512), level.as_avx2().map(Level::Avx2)];
         #[cfg(not(target_arch = "x86_64"))]
-        let all = [lanes()];
+        let all = [supported_simd_level()];
         let tested = all.into_iter().flatten().filter(|&lanes| {
             let (hits, any, light) = trace(Some(lanes));
             assert_eq!((&hits, &any), (&expected.0, &expected.1), "{lanes:?}");
@@ -198,6 +204,6 @@ mod tests {
             assert_eq!(light.iter().zip(&expected.2).position(differs), None, "{lanes:?}");
             true
         });
-        assert_eq!(tested.count() > 0, lanes().is_some(), "{level:?}");
+        assert_eq!(tested.count() > 0, supported_simd_level().is_some(), "{level:?}");
     }
 }

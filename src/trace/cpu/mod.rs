@@ -6,29 +6,29 @@
     reason = "what is passed by its name is called, a closure marked so is not, and a call takes the lanes through memory"
 )]
 
+mod blas_traversal;
 mod dispatch;
 mod hybrid;
-mod local_packet;
 mod node_test;
 mod packet_queries;
 mod packet_traversal;
+mod ray_packet;
 mod simd;
 mod single_traversal;
 mod tile;
 mod tlas_traversal;
 mod triangle_test;
-mod wide_traversal;
 
 use rayon::prelude::*;
 
-use self::dispatch::Rays;
+use self::dispatch::PacketTracer;
 use self::tile::TileTracer;
+use super::frame_buffer::FrameBuffer;
 use super::kernel::{KernelScene, Pixel};
-use super::planes::Planes;
-use super::{DeviceInfo, FrameRequest, Layout, Tracer};
+use super::{DeviceInfo, FrameRequest, Tracer, Traversal};
 use crate::Result;
 use crate::device::DeviceArrays;
-use crate::device::layout::{Hit, Ray};
+use crate::device::layout::{HitRecord, RayRecord};
 use crate::image::Image;
 
 /// Runs the kernel on rayon's current thread pool. Reads the arrays in place.
@@ -43,9 +43,9 @@ pub struct Cpu {
 }
 
 /// Pixels along a tile's side: rays of a tile visit much the same nodes, and there are enough tiles to keep all cores busy.
-const TILE: u32 = 16;
+const TILE_SIDE: u32 = 16;
 /// Rays that one task traces.
-const RAYS_A_TASK: usize = 512;
+const RAYS_PER_TASK: usize = 512;
 
 impl Default for Cpu {
     fn default() -> Self {
@@ -61,23 +61,23 @@ impl Tracer for Cpu {
     }
 
     fn upload(&mut self, arrays: &mut DeviceArrays) -> Result<u64> {
-        arrays.forget_dirty();
+        arrays.clear_dirty();
         Ok(0)
     }
 
     fn render(&mut self, arrays: &DeviceArrays, request: &FrameRequest) -> Result<()> {
-        let scene = KernelScene::with_layout(arrays, Layout::Wide);
+        let scene = KernelScene::with_layout(arrays, Traversal::Wide);
         let params = &request.params;
-        let count = Planes::check_size(params.width, params.height)?;
+        let count = FrameBuffer::check_size(params.width, params.height)?;
         (self.width, self.height, self.aovs) = (params.width, params.height, request.aovs);
         resize(&mut self.pixels, count);
         if count == 0 {
             return Ok(());
         }
-        let rows_of_tiles = self.pixels.par_chunks_mut(TILE as usize * self.width as usize);
-        rows_of_tiles.zip((0..self.height).into_par_iter().step_by(TILE as usize)).for_each(|(row, top)| {
-            let tiles = row.par_chunks_mut((TILE * rows_of_tile(self.height, top)) as usize);
-            let tiles = tiles.zip((0..self.width).into_par_iter().step_by(TILE as usize));
+        let rows_of_tiles = self.pixels.par_chunks_mut(TILE_SIDE as usize * self.width as usize);
+        rows_of_tiles.zip((0..self.height).into_par_iter().step_by(TILE_SIDE as usize)).for_each(|(row, top)| {
+            let tiles = row.par_chunks_mut((TILE_SIDE * rows_of_tile(self.height, top)) as usize);
+            let tiles = tiles.zip((0..self.width).into_par_iter().step_by(TILE_SIDE as usize));
             tiles.for_each_init(
                 || TileTracer::new(&scene),
                 |tracer, (pixels, left)| tracer.render(params, [left, top], columns_of_tile(self.width, left), pixels),
@@ -86,8 +86,8 @@ impl Tracer for Cpu {
         Ok(())
     }
 
-    fn read(&self) -> Result<Image> {
-        let mut frame = Planes::new(self.width, self.height, self.aovs)?;
+    fn read_image(&self) -> Result<Image> {
+        let mut frame = FrameBuffer::new(self.width, self.height, self.aovs)?;
         for y in 0..self.height {
             for x in 0..self.width {
                 frame.push(&self.pixels[pixel_index([self.width, self.height], x, y)]);
@@ -96,13 +96,13 @@ impl Tracer for Cpu {
         Ok(frame.into_image())
     }
 
-    fn closest_hits(&mut self, arrays: &DeviceArrays, rays: &[Ray], ray_mask: u32) -> Result<Vec<Hit>> {
+    fn closest_hits(&mut self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> Result<Vec<HitRecord>> {
         let mut hits = bytemuck::zeroed_vec(rays.len());
         self.closest_hits_into(arrays, rays, ray_mask, &mut hits);
         Ok(hits)
     }
 
-    fn any_hits(&mut self, arrays: &DeviceArrays, rays: &[Ray], ray_mask: u32) -> Result<Vec<bool>> {
+    fn any_hits(&mut self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> Result<Vec<bool>> {
         let mut hits = vec![false; rays.len()];
         self.any_hits_into(arrays, rays, ray_mask, &mut hits);
         Ok(hits)
@@ -117,28 +117,31 @@ impl Cpu {
     ///
     /// # Panics
     /// If `hits` is not as long as `rays`.
-    pub fn closest_hits_into(&self, arrays: &DeviceArrays, rays: &[Ray], ray_mask: u32, hits: &mut [Hit]) {
+    pub fn closest_hits_into(&self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32, hits: &mut [HitRecord]) {
         assert_eq!(rays.len(), hits.len(), "a hit a ray");
-        let scene = KernelScene::with_layout(arrays, Layout::Wide);
-        let tasks = rays.par_chunks(RAYS_A_TASK).zip(hits.par_chunks_mut(RAYS_A_TASK));
-        tasks.for_each_init(|| Rays::new(&scene), |tracer, (rays, hits)| tracer.closest_hits(rays, ray_mask, hits));
+        let scene = KernelScene::with_layout(arrays, Traversal::Wide);
+        let tasks = rays.par_chunks(RAYS_PER_TASK).zip(hits.par_chunks_mut(RAYS_PER_TASK));
+        tasks.for_each_init(
+            || PacketTracer::new(&scene),
+            |tracer, (rays, hits)| tracer.closest_hits(rays, ray_mask, hits),
+        );
     }
 
     /// As [`any_hits`](Tracer::any_hits), into memory that the caller keeps.
     ///
     /// # Panics
     /// If `hits` is not as long as `rays`.
-    pub fn any_hits_into(&self, arrays: &DeviceArrays, rays: &[Ray], ray_mask: u32, hits: &mut [bool]) {
+    pub fn any_hits_into(&self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32, hits: &mut [bool]) {
         assert_eq!(rays.len(), hits.len(), "a hit a ray");
-        let scene = KernelScene::with_layout(arrays, Layout::Wide);
-        let tasks = rays.par_chunks(RAYS_A_TASK).zip(hits.par_chunks_mut(RAYS_A_TASK));
-        tasks.for_each_init(|| Rays::new(&scene), |tracer, (rays, hits)| tracer.any_hits(rays, ray_mask, hits));
+        let scene = KernelScene::with_layout(arrays, Traversal::Wide);
+        let tasks = rays.par_chunks(RAYS_PER_TASK).zip(hits.par_chunks_mut(RAYS_PER_TASK));
+        tasks.for_each_init(|| PacketTracer::new(&scene), |tracer, (rays, hits)| tracer.any_hits(rays, ray_mask, hits));
     }
 }
 
 /// Makes room for that many pixels, and gives memory back after a much larger frame.
 fn resize(pixels: &mut Vec<Pixel>, count: usize) {
-    pixels.resize(count, Pixel::NOTHING);
+    pixels.resize(count, Pixel::MISS);
     if pixels.capacity() / 4 > count {
         pixels.shrink_to_fit();
     }
@@ -146,17 +149,17 @@ fn resize(pixels: &mut Vec<Pixel>, count: usize) {
 
 /// Rows of a tile whose first row is `top`.
 fn rows_of_tile(height: u32, top: u32) -> u32 {
-    TILE.min(height - top)
+    TILE_SIDE.min(height - top)
 }
 
 /// Columns of a tile whose first column is `left`.
 fn columns_of_tile(width: u32, left: u32) -> u32 {
-    TILE.min(width - left)
+    TILE_SIDE.min(width - left)
 }
 
 /// Where the pixel in column `x` and row `y` is stored.
 fn pixel_index([width, height]: [u32; 2], x: u32, y: u32) -> usize {
-    let [left, top] = [x, y].map(|x| x / TILE * TILE);
+    let [left, top] = [x, y].map(|x| x / TILE_SIDE * TILE_SIDE);
     let above = top as usize * width as usize;
     let before = left as usize * rows_of_tile(height, top) as usize;
     above + before + ((y - top) * columns_of_tile(width, left) + x - left) as usize

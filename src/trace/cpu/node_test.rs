@@ -4,50 +4,53 @@ use bytemuck::Zeroable;
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x8, f32x16, u8x16, u16x8, u32x16};
 
-use super::local_packet::{AXES, LocalPacket, meet_slabs};
-use super::simd::{LANES, Numbers, children, each, greatest_of, least_of, load, met, near_first, planes, range, steps};
-use super::triangle_test::splats;
-use super::wide_traversal::DEPTH;
+use super::blas_traversal::MAX_NODE_DEPTH;
+use super::ray_packet::{LocalPacket, SHEAR_AXES, slab_test};
+use super::simd::{
+    F32Lanes, LANES, child_planes, grid_step, hit_slots, load, map_axes, near_far_shuffle, ray_interval, reduce_max,
+    reduce_min, used_slots,
+};
+use super::triangle_test::splat_axes;
 use crate::device::layout::WideNode;
-use crate::trace::kernel::BOX_SLACK;
+use crate::trace::kernel::BOX_ENTRY_SCALE;
 
 /// How the rays of a packet are tested against boxes.
-pub(super) trait Boxes<'a, S: Simd> {
+pub(super) trait NodeTest<'a, S: Simd> {
     /// Nodes that all rays visit before it is asked which of them do.
-    const COHERENT: u32;
+    const UNMASKED_NODES: u32;
 
-    fn new(simd: S, rays: &'a LocalPacket, t_max: &Numbers, memory: &'a mut Memory) -> Self;
+    fn new(simd: S, rays: &'a LocalPacket, t_max: &F32Lanes, memory: &'a mut NodeTestScratch) -> Self;
 
     /// The children of a node that the rays of these lanes meet, and perhaps others.
-    fn meet(&mut self, node: &WideNode, depth: usize, lanes: u64, t_max: &Numbers) -> u32;
+    fn meet(&mut self, node: &WideNode, depth: usize, lanes: u64, t_max: &F32Lanes) -> u32;
 
     /// The rays that meet a child of the node that was met last at that depth.
-    fn lanes(&self, node: &WideNode, depth: usize, slot: usize, t_max: &Numbers) -> u64;
+    fn active_lanes(&self, node: &WideNode, depth: usize, slot: usize, t_max: &F32Lanes) -> u64;
 
     /// Rays go less far than they did.
-    fn shorten(&mut self, t_max: &Numbers);
+    fn tighten_t_max(&mut self, t_max: &F32Lanes);
 
     /// Those of these children of the node that was met last at that depth that may still be met.
     fn still_meet(&self, slots: u32, depth: usize) -> u32;
 
     /// The coordinates of a corner along the axes of each ray's shear.
-    fn along_axes(&self, corner: [f32; 3]) -> [f32x16<S>; 3];
+    fn to_shear_axes(&self, corner: [f32; 3]) -> [f32x16<S>; 3];
 }
 
 /// Of the nodes that are being visited.
 #[derive(Clone, Copy, Zeroable)]
-pub(super) struct Memory {
-    alike: [Planes; DEPTH],
-    mixed: [Children; DEPTH],
+pub(super) struct NodeTestScratch {
+    alike: [CoherentLevel; MAX_NODE_DEPTH],
+    mixed: [IncoherentLevel; MAX_NODE_DEPTH],
 }
 
 /// Whether rays all go into one octant, and most along one axis.
 #[inline(always)]
 pub(super) fn is_coherent(rays: &LocalPacket) -> bool {
-    rays.axes == [rays.axes[0]; LANES] && rays.octants == [rays.octants[0]; LANES]
+    rays.shear_axes == [rays.shear_axes[0]; LANES] && rays.octants == [rays.octants[0]; LANES]
 }
 
-/// Rays that [`are_alike`]: interval arithmetic on all of them at once against eight boxes at once. Each ray by itself only where it is
+/// Rays that [`is_coherent`]: interval arithmetic on all of them at once against eight boxes at once. Each ray by itself only where it is
 /// asked which.
 ///
 /// A product with a reciprocal, a sum, a difference: each is monotonic, rounded or not. So bounds computed from the least and greatest
@@ -55,12 +58,12 @@ pub(super) fn is_coherent(rays: &LocalPacket) -> bool {
 pub(super) struct Coherent<'a, S: Simd> {
     simd: S,
     rays: &'a LocalPacket,
-    levels: &'a mut [Planes; DEPTH],
+    levels: &'a mut [CoherentLevel; MAX_NODE_DEPTH],
     /// The least and greatest origins, in the lower lanes those that make planes nearer, in the upper ones those that make them farther.
-    outer_origins: [f32x16<S>; 3],
-    /// The least reciprocals as near planes and far planes are multiplied by them, see [`scales`]; then the greatest.
-    outer_scales: [[f32x16<S>; 3]; 2],
-    orders: [u8x16<S>; 3],
+    origin_bounds: [f32x16<S>; 3],
+    /// The least reciprocals as near planes and far planes are multiplied by them, see [`near_far_scales`]; then the greatest.
+    scale_bounds: [[f32x16<S>; 3]; 2],
+    near_far_shuffles: [u8x16<S>; 3],
     t_min: f32x8<S>,
     t_max: f32x8<S>,
 }
@@ -69,78 +72,78 @@ pub(super) struct Coherent<'a, S: Simd> {
 /// children.
 #[derive(Clone, Copy, Zeroable)]
 #[repr(C, align(64))]
-struct Planes {
-    planes: [Numbers; 3],
+struct CoherentLevel {
+    planes: [F32Lanes; 3],
     enters: [f32; 8],
 }
 
 /// What near planes, in the lower lanes, and far planes are multiplied by: so that they are near by the slack of boxes, and negated.
 #[inline(always)]
-fn scales<S: Simd>(reciprocals: f32x8<S>) -> f32x16<S> {
-    (reciprocals * BOX_SLACK).combine(-reciprocals)
+fn near_far_scales<S: Simd>(reciprocals: f32x8<S>) -> f32x16<S> {
+    (reciprocals * BOX_ENTRY_SCALE).combine(-reciprocals)
 }
 
-impl<'a, S: Simd> Boxes<'a, S> for Coherent<'a, S> {
-    const COHERENT: u32 = 12;
+impl<'a, S: Simd> NodeTest<'a, S> for Coherent<'a, S> {
+    const UNMASKED_NODES: u32 = 12;
 
     #[inline(always)]
-    fn new(simd: S, rays: &'a LocalPacket, t_max: &Numbers, memory: &'a mut Memory) -> Self {
+    fn new(simd: S, rays: &'a LocalPacket, t_max: &F32Lanes, memory: &'a mut NodeTestScratch) -> Self {
         let octant = rays.octants[0] as usize;
         Self {
             simd,
             rays,
             levels: &mut memory.alike,
-            outer_origins: each(
+            origin_bounds: map_axes(
                 [0, 1, 2],
                 #[inline(always)]
                 |axis: usize| {
                     let origins = load(simd, rays.origins[axis]);
-                    let (least, greatest) = (least_of(origins), greatest_of(origins));
+                    let (least, greatest) = (reduce_min(origins), reduce_max(origins));
                     if octant >> axis & 1 == 0 { greatest.combine(least) } else { least.combine(greatest) }
                 },
             ),
-            outer_scales: [
-                each(
+            scale_bounds: [
+                map_axes(
                     [0, 1, 2],
                     #[inline(always)]
-                    |axis: usize| scales(least_of(load(simd, rays.reciprocals[axis]))),
+                    |axis: usize| near_far_scales(reduce_min(load(simd, rays.reciprocals[axis]))),
                 ),
-                each(
+                map_axes(
                     [0, 1, 2],
                     #[inline(always)]
-                    |axis: usize| scales(greatest_of(load(simd, rays.reciprocals[axis]))),
+                    |axis: usize| near_far_scales(reduce_max(load(simd, rays.reciprocals[axis]))),
                 ),
             ],
-            orders: near_first(simd, octant),
-            t_min: least_of(load(simd, rays.t_min)),
-            t_max: greatest_of(load(simd, *t_max)),
+            near_far_shuffles: near_far_shuffle(simd, octant),
+            t_min: reduce_min(load(simd, rays.t_min)),
+            t_max: reduce_max(load(simd, *t_max)),
         }
     }
 
     #[inline(always)]
-    fn meet(&mut self, node: &WideNode, depth: usize, _: u64, _: &Numbers) -> u32 {
+    fn meet(&mut self, node: &WideNode, depth: usize, _: u64, _: &F32Lanes) -> u32 {
         let simd = self.simd;
-        let steps = steps(simd, node);
-        let [x, y, z] = each(
+        let steps = grid_step(simd, node);
+        let [x, y, z] = map_axes(
             [0, 1, 2],
             #[inline(always)]
             |axis: usize| {
-                let planes = planes(simd, node, axis, self.orders[axis]) * steps[axis];
-                let from = planes - (self.outer_origins[axis] - f32x16::splat(simd, node.origin[axis]));
-                let t = (from * self.outer_scales[0][axis]).min(from * self.outer_scales[1][axis]);
+                let planes = child_planes(simd, node, axis, self.near_far_shuffles[axis]) * steps[axis];
+                let from = planes - (self.origin_bounds[axis] - f32x16::splat(simd, node.origin[axis]));
+                let t = (from * self.scale_bounds[0][axis]).min(from * self.scale_bounds[1][axis]);
                 (planes, t)
             },
         );
-        let (met, enters) = met(node, x.1.max(y.1).max(z.1.max(range(self.t_min, self.t_max))));
-        self.levels[depth] = Planes { planes: [x.0.into(), y.0.into(), z.0.into()], enters: enters.into() };
+        let (met, enters) = hit_slots(node, x.1.max(y.1).max(z.1.max(ray_interval(self.t_min, self.t_max))));
+        self.levels[depth] = CoherentLevel { planes: [x.0.into(), y.0.into(), z.0.into()], enters: enters.into() };
         met
     }
 
     #[inline(always)]
-    fn lanes(&self, node: &WideNode, depth: usize, slot: usize, t_max: &Numbers) -> u64 {
+    fn active_lanes(&self, node: &WideNode, depth: usize, slot: usize, t_max: &F32Lanes) -> u64 {
         let (simd, rays) = (self.simd, self.rays);
         let planes = &self.levels[depth].planes;
-        let t = each(
+        let t = map_axes(
             [0, 1, 2],
             #[inline(always)]
             |axis: usize| {
@@ -151,12 +154,12 @@ impl<'a, S: Simd> Boxes<'a, S> for Coherent<'a, S> {
                 [near * reciprocals, far * reciprocals]
             },
         );
-        meet_slabs(t, load(simd, rays.t_min), load(simd, *t_max))
+        slab_test(t, load(simd, rays.t_min), load(simd, *t_max))
     }
 
     #[inline(always)]
-    fn shorten(&mut self, t_max: &Numbers) {
-        self.t_max = greatest_of(load(self.simd, *t_max));
+    fn tighten_t_max(&mut self, t_max: &F32Lanes) {
+        self.t_max = reduce_max(load(self.simd, *t_max));
     }
 
     #[inline(always)]
@@ -165,9 +168,9 @@ impl<'a, S: Simd> Boxes<'a, S> for Coherent<'a, S> {
     }
 
     #[inline(always)]
-    fn along_axes(&self, corner: [f32; 3]) -> [f32x16<S>; 3] {
-        let axes = AXES[self.rays.axes[0] as usize % AXES.len()];
-        splats(self.simd, [corner[axes[0]], corner[axes[1]], corner[axes[2]]])
+    fn to_shear_axes(&self, corner: [f32; 3]) -> [f32x16<S>; 3] {
+        let axes = SHEAR_AXES[self.rays.shear_axes[0] as usize % SHEAR_AXES.len()];
+        splat_axes(self.simd, [corner[axes[0]], corner[axes[1]], corner[axes[2]]])
     }
 }
 
@@ -175,39 +178,39 @@ impl<'a, S: Simd> Boxes<'a, S> for Coherent<'a, S> {
 pub(super) struct Incoherent<'a, S> {
     simd: S,
     rays: &'a LocalPacket,
-    levels: &'a mut [Children; DEPTH],
+    levels: &'a mut [IncoherentLevel; MAX_NODE_DEPTH],
 }
 
 /// The children of a node.
 #[derive(Clone, Copy, Zeroable)]
 #[repr(C, align(64))]
-struct Children {
+struct IncoherentLevel {
     /// Where each ray enters, rounded down.
-    enters: [Numbers; 8],
+    enters: [F32Lanes; 8],
     /// A bit for each ray that meets the child.
     lanes: [u16; 8],
 }
 
-impl<'a, S: Simd> Boxes<'a, S> for Incoherent<'a, S> {
-    const COHERENT: u32 = 0;
+impl<'a, S: Simd> NodeTest<'a, S> for Incoherent<'a, S> {
+    const UNMASKED_NODES: u32 = 0;
 
     #[inline(always)]
-    fn new(simd: S, rays: &'a LocalPacket, _: &Numbers, memory: &'a mut Memory) -> Self {
+    fn new(simd: S, rays: &'a LocalPacket, _: &F32Lanes, memory: &'a mut NodeTestScratch) -> Self {
         Self { simd, rays, levels: &mut memory.mixed }
     }
 
     /// A plane is met at `plane * (step * reciprocal) + (origin - ray.origin) * reciprocal`: see `accel::wide` for what rounding does.
     #[inline(always)]
-    fn meet(&mut self, node: &WideNode, depth: usize, lanes: u64, t_max: &Numbers) -> u32 {
+    fn meet(&mut self, node: &WideNode, depth: usize, lanes: u64, t_max: &F32Lanes) -> u32 {
         let (simd, rays) = (self.simd, self.rays);
-        let steps = steps(simd, node);
-        let [x, y, z] = each(
+        let steps = grid_step(simd, node);
+        let [x, y, z] = map_axes(
             [0, 1, 2],
             #[inline(always)]
             |axis: usize| {
                 let reciprocal = load(simd, rays.reciprocals[axis]);
-                Slabs {
-                    planes: planes(simd, node, axis, near_first(simd, 0)[0]).into(),
+                ChildSlabs {
+                    planes: child_planes(simd, node, axis, near_far_shuffle(simd, 0)[0]).into(),
                     step: steps[axis] * reciprocal,
                     start: (f32x16::splat(simd, node.origin[axis]) - load(simd, rays.origins[axis])) * reciprocal,
                 }
@@ -219,24 +222,24 @@ impl<'a, S: Simd> Boxes<'a, S> for Incoherent<'a, S> {
             #[inline(always)]
             |slot: usize| {
                 let [x, y, z] = [x.meet(simd, slot), y.meet(simd, slot), z.meet(simd, slot)];
-                let enters = x[0].max(y[0]).max(z[0].max(t_min)) * BOX_SLACK;
+                let enters = x[0].max(y[0]).max(z[0].max(t_min)) * BOX_ENTRY_SCALE;
                 let leaves = x[1].min(y[1]).min(z[1].min(t_max));
                 level.enters[slot] = enters.into();
                 level.lanes[slot] = (enters.simd_le(leaves).to_bitmask() & lanes) as u16;
             },
         );
         let missed = u16x8::simd_from(simd, level.lanes).simd_eq(0).to_bitmask() as u32;
-        children(node) & !missed
+        used_slots(node) & !missed
     }
 
     #[inline(always)]
-    fn lanes(&self, _: &WideNode, depth: usize, slot: usize, t_max: &Numbers) -> u64 {
-        let Children { enters, lanes } = &self.levels[depth];
+    fn active_lanes(&self, _: &WideNode, depth: usize, slot: usize, t_max: &F32Lanes) -> u64 {
+        let IncoherentLevel { enters, lanes } = &self.levels[depth];
         u64::from(lanes[slot & 7]) & load(self.simd, enters[slot & 7]).simd_le(load(self.simd, *t_max)).to_bitmask()
     }
 
     #[inline(always)]
-    fn shorten(&mut self, _: &Numbers) {}
+    fn tighten_t_max(&mut self, _: &F32Lanes) {}
 
     /// Each ray is asked when its turn comes.
     #[inline(always)]
@@ -245,28 +248,28 @@ impl<'a, S: Simd> Boxes<'a, S> for Incoherent<'a, S> {
     }
 
     #[inline(always)]
-    fn along_axes(&self, corner: [f32; 3]) -> [f32x16<S>; 3] {
+    fn to_shear_axes(&self, corner: [f32; 3]) -> [f32x16<S>; 3] {
         let simd = self.simd;
-        // Pairs of rows of `AXES` are those of rays that go most along x, y and z.
-        let axes = u32x16::simd_from(simd, self.rays.axes);
+        // Pairs of rows of `SHEAR_AXES` are those of rays that go most along x, y and z.
+        let axes = u32x16::simd_from(simd, self.rays.shear_axes);
         let (x_most, y_most) = (axes.simd_lt(2), axes.simd_lt(4));
         let goes_down = (axes & 1).simd_eq(1);
-        let [x, y, z] = splats::<S, f32x16<S>>(simd, corner);
+        let [x, y, z] = splat_axes::<S, f32x16<S>>(simd, corner);
         let (i, j) = (x_most.select(y, y_most.select(z, x)), x_most.select(z, y_most.select(x, y)));
         [goes_down.select(j, i), goes_down.select(i, j), x_most.select(x, y_most.select(y, z))]
     }
 }
 
 /// The slabs of a node's children along an axis, as rays see them.
-struct Slabs<S: Simd> {
+struct ChildSlabs<S: Simd> {
     /// The least planes, then the greatest, in steps.
-    planes: Numbers,
+    planes: F32Lanes,
     /// How far a step is along each ray, and how far the origin of the grid.
     step: f32x16<S>,
     start: f32x16<S>,
 }
 
-impl<S: Simd> Slabs<S> {
+impl<S: Simd> ChildSlabs<S> {
     /// Where rays enter and leave the slab of a child.
     #[inline(always)]
     fn meet(&self, simd: S, slot: usize) -> [f32x16<S>; 2] {

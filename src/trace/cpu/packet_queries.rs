@@ -4,23 +4,23 @@ use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x16, mask32x16, u32x16};
 use glam::Vec3;
 
-use super::simd::{LANES, Numbers, lanes_of, load};
-use super::triangle_test::Crossings;
-use crate::device::layout::{Hit, Instance, InstanceFlags, NONE, Ray, WideNode};
-use crate::trace::kernel::{KernelScene, is_closer, is_hole};
-use crate::trace::queries::{Any, Candidate, Closest, Query, Transmittance, stops};
+use super::simd::{F32Lanes, LANES, lanes_of, load};
+use super::triangle_test::TriangleHits;
+use crate::device::layout::{HitRecord, InstanceFlags, InstanceRecord, NONE, RayRecord, WideNode};
+use crate::trace::kernel::{KernelScene, fails_alpha_test, is_before};
+use crate::trace::queries::{AnyQuery, CandidateHit, ClosestQuery, Query, TransmittanceQuery, is_opaque_at};
 
 /// Where triangles are met.
-pub(super) struct Place<'a> {
+pub(super) struct InstanceGeometry<'a> {
     pub(super) scene: &'a KernelScene<'a>,
     /// The instance's index.
     pub(super) index: u32,
-    pub(super) instance: &'a Instance,
+    pub(super) instance: &'a InstanceRecord,
     /// The structure of its geometry, and what follows it.
     pub(super) nodes: &'a [WideNode],
 }
 
-impl<'a> Place<'a> {
+impl<'a> InstanceGeometry<'a> {
     /// `None` where the instance is hidden by its mask.
     #[inline(always)]
     pub(super) fn of(scene: &'a KernelScene<'a>, index: u32, ray_mask: u32) -> Option<Self> {
@@ -35,12 +35,12 @@ impl<'a> Place<'a> {
 }
 
 /// One of sixteen.
-pub(super) struct Lane<'a, A> {
+pub(super) struct QueryLane<'a, A> {
     pub(super) answers: &'a mut A,
     pub(super) lane: usize,
 }
 
-impl<A: Answers> Lane<'_, A> {
+impl<A: PacketQuery> QueryLane<'_, A> {
     /// How far it goes.
     #[inline(always)]
     pub(super) fn t_max(&self) -> f32 {
@@ -49,45 +49,57 @@ impl<A: Answers> Lane<'_, A> {
 
     /// It crosses a triangle.
     #[inline(always)]
-    pub(super) fn cross(&mut self, place: &Place<'_>, candidate: &Candidate) {
+    pub(super) fn accept_hit(&mut self, place: &InstanceGeometry<'_>, candidate: &CandidateHit) {
         let mut query = self.answers.query(self.lane);
-        query.cross(place.scene, place.index, place.instance, candidate);
+        query.accept_hit(place.scene, place.index, place.instance, candidate);
         self.answers.set_query(self.lane, query);
     }
 }
 
 /// The queries of sixteen rays.
-pub(super) trait Answers {
+pub(super) trait PacketQuery {
     type Query: Query;
     /// What is said of a ray in the end.
-    type Hit;
+    type Output;
     /// What is said of a ray that meets nothing.
-    const MISS: Self::Hit;
+    const MISS: Self::Output;
 
     /// Of rays that have met nothing and go that far.
     fn new<S: Simd>(t_max: f32x16<S>) -> Self;
 
     /// Of these rays.
-    fn hits<S: Simd>(&self, simd: S, scene: &KernelScene<'_>, rays: &[Ray; LANES], ray_mask: u32)
-    -> [Self::Hit; LANES];
+    fn outputs<S: Simd>(
+        &self,
+        simd: S,
+        scene: &KernelScene<'_>,
+        rays: &[RayRecord; LANES],
+        ray_mask: u32,
+    ) -> [Self::Output; LANES];
 
     /// How far each ray goes.
-    fn t_max(&self) -> &Numbers;
+    fn t_max(&self) -> &F32Lanes;
 
     fn query(&self, lane: usize) -> Self::Query;
 
     fn set_query(&mut self, lane: usize, query: Self::Query);
 
     /// The rays of these lanes cross a triangle no farther than `t_max`.
-    fn accept<S: Simd>(&mut self, simd: S, place: &Place<'_>, triangle: u32, lanes: u64, at: &Crossings<f32x16<S>>);
+    fn accept_hits<S: Simd>(
+        &mut self,
+        simd: S,
+        place: &InstanceGeometry<'_>,
+        triangle: u32,
+        lanes: u64,
+        at: &TriangleHits<f32x16<S>>,
+    );
 }
 
 /// The closest hits.
 #[repr(C, align(64))]
-pub(super) struct ClosestHits {
-    t: Numbers,
-    u: Numbers,
-    v: Numbers,
+pub(super) struct ClosestPacket {
+    t: F32Lanes,
+    u: F32Lanes,
+    v: F32Lanes,
     instance: [u32; LANES],
     primitive: [u32; LANES],
     triangle: [u32; LANES],
@@ -100,14 +112,14 @@ fn interleaved<S: Simd>(v: [f32x16<S>; 8]) -> [f32x16<S>; 8] {
     [a.0, a.1, b.0, b.1, c.0, c.1, d.0, d.1]
 }
 
-impl Answers for ClosestHits {
-    type Query = Closest;
-    type Hit = Hit;
-    const MISS: Hit = Hit::MISS;
+impl PacketQuery for ClosestPacket {
+    type Query = ClosestQuery;
+    type Output = HitRecord;
+    const MISS: HitRecord = HitRecord::MISS;
 
     #[inline(always)]
     fn new<S: Simd>(t_max: f32x16<S>) -> Self {
-        let Hit { u, v, instance, primitive, triangle, .. } = Hit::MISS;
+        let HitRecord { u, v, instance, primitive, triangle, .. } = HitRecord::MISS;
         Self {
             t: t_max.into(),
             u: [u; LANES],
@@ -120,7 +132,7 @@ impl Answers for ClosestHits {
     }
 
     #[inline(always)]
-    fn hits<S: Simd>(&self, simd: S, _: &KernelScene<'_>, _: &[Ray; LANES], _: u32) -> [Hit; LANES] {
+    fn outputs<S: Simd>(&self, simd: S, _: &KernelScene<'_>, _: &[RayRecord; LANES], _: u32) -> [HitRecord; LANES] {
         let bits = |v: [u32; LANES]| u32x16::simd_from(simd, v).bitcast::<f32x16<S>>();
         let is_miss = u32x16::simd_from(simd, self.instance).simd_eq(NONE);
         let back = mask32x16::from_bitmask(simd, self.back).select(u32x16::splat(simd, 1), u32x16::splat(simd, 0));
@@ -136,44 +148,51 @@ impl Answers for ClosestHits {
         ];
         // Three times one element of each of two vectors in turn: then all eight words of a hit follow one another.
         let v = interleaved(interleaved(interleaved(v)));
-        let words: [Numbers; 8] =
+        let words: [F32Lanes; 8] =
             [v[0].into(), v[1].into(), v[2].into(), v[3].into(), v[4].into(), v[5].into(), v[6].into(), v[7].into()];
         bytemuck::cast(words)
     }
 
     #[inline(always)]
-    fn t_max(&self) -> &Numbers {
+    fn t_max(&self) -> &F32Lanes {
         &self.t
     }
 
     #[inline(always)]
-    fn query(&self, lane: usize) -> Closest {
-        Closest(Hit {
+    fn query(&self, lane: usize) -> ClosestQuery {
+        ClosestQuery(HitRecord {
             t: self.t[lane],
             u: self.u[lane],
             v: self.v[lane],
             instance: self.instance[lane],
             primitive: self.primitive[lane],
             triangle: self.triangle[lane],
-            back: (self.back >> lane & 1) as u32,
+            back_face: (self.back >> lane & 1) as u32,
             _pad: 0,
         })
     }
 
     #[inline(always)]
-    fn set_query(&mut self, lane: usize, Closest(hit): Closest) {
+    fn set_query(&mut self, lane: usize, ClosestQuery(hit): ClosestQuery) {
         self.t[lane] = hit.t;
         self.u[lane] = hit.u;
         self.v[lane] = hit.v;
         self.instance[lane] = hit.instance;
         self.primitive[lane] = hit.primitive;
         self.triangle[lane] = hit.triangle;
-        self.back = self.back & !(1 << lane) | u64::from(hit.back) << lane;
+        self.back = self.back & !(1 << lane) | u64::from(hit.back_face) << lane;
     }
 
-    /// As [`Closest::cross`](Query::cross).
+    /// As [`ClosestQuery::accept_hit`](Query::accept_hit).
     #[inline(always)]
-    fn accept<S: Simd>(&mut self, simd: S, place: &Place<'_>, triangle: u32, lanes: u64, at: &Crossings<f32x16<S>>) {
+    fn accept_hits<S: Simd>(
+        &mut self,
+        simd: S,
+        place: &InstanceGeometry<'_>,
+        triangle: u32,
+        lanes: u64,
+        at: &TriangleHits<f32x16<S>>,
+    ) {
         let flags = InstanceFlags::from_bits_retain(place.instance.flags);
         let crossed = &place.scene.triangles[triangle as usize];
         let mut lanes = lanes;
@@ -183,13 +202,13 @@ impl Answers for ClosestHits {
         if flags.contains(InstanceFlags::ALPHA_MASK) {
             let (u, v) = (at.u.as_array(), at.v.as_array());
             for lane in lanes_of(lanes) {
-                lanes &= !(u64::from(is_hole(place.scene, place.instance, crossed, u[lane], v[lane])) << lane);
+                lanes &= !(u64::from(fails_alpha_test(place.scene, place.instance, crossed, u[lane], v[lane])) << lane);
             }
         }
         let t = load(simd, self.t);
         let ties = at.t.simd_eq(t).to_bitmask() & lanes;
         for lane in lanes_of(ties) {
-            let is_closer = is_closer(self.t[lane], place.index, crossed.primitive, &self.query(lane).0);
+            let is_closer = is_before(self.t[lane], place.index, crossed.primitive, &self.query(lane).0);
             lanes &= !(u64::from(!is_closer) << lane);
         }
         let is_closer = mask32x16::from_bitmask(simd, lanes);
@@ -208,78 +227,85 @@ impl Answers for ClosestHits {
 }
 
 /// Whether anything is hit.
-pub(super) struct AnyHits {
-    t_max: Numbers,
+pub(super) struct AnyPacket {
+    t_max: F32Lanes,
     /// A bit for each ray that hits.
-    hit: u64,
+    hit_mask: u64,
 }
 
-impl Answers for AnyHits {
-    type Query = Any;
-    type Hit = bool;
+impl PacketQuery for AnyPacket {
+    type Query = AnyQuery;
+    type Output = bool;
     const MISS: bool = false;
 
     #[inline(always)]
     fn new<S: Simd>(t_max: f32x16<S>) -> Self {
-        Self { t_max: t_max.into(), hit: 0 }
+        Self { t_max: t_max.into(), hit_mask: 0 }
     }
 
     #[inline(always)]
-    fn hits<S: Simd>(&self, _: S, _: &KernelScene<'_>, _: &[Ray; LANES], _: u32) -> [bool; LANES] {
+    fn outputs<S: Simd>(&self, _: S, _: &KernelScene<'_>, _: &[RayRecord; LANES], _: u32) -> [bool; LANES] {
         let mut hits = [false; LANES];
         for (lane, hit) in hits.iter_mut().enumerate() {
-            *hit = self.hit >> lane & 1 != 0;
+            *hit = self.hit_mask >> lane & 1 != 0;
         }
         hits
     }
 
     #[inline(always)]
-    fn t_max(&self) -> &Numbers {
+    fn t_max(&self) -> &F32Lanes {
         &self.t_max
     }
 
     #[inline(always)]
-    fn query(&self, lane: usize) -> Any {
-        Any { t_max: self.t_max[lane], is_hit: self.hit >> lane & 1 != 0 }
+    fn query(&self, lane: usize) -> AnyQuery {
+        AnyQuery { t_max: self.t_max[lane], is_hit: self.hit_mask >> lane & 1 != 0 }
     }
 
     #[inline(always)]
-    fn set_query(&mut self, lane: usize, query: Any) {
+    fn set_query(&mut self, lane: usize, query: AnyQuery) {
         self.t_max[lane] = query.t_max;
-        self.hit |= u64::from(query.is_hit) << lane;
+        self.hit_mask |= u64::from(query.is_hit) << lane;
     }
 
-    /// As [`Any::cross`](Query::cross).
+    /// As [`AnyQuery::accept_hit`](Query::accept_hit).
     #[inline(always)]
-    fn accept<S: Simd>(&mut self, simd: S, place: &Place<'_>, triangle: u32, lanes: u64, at: &Crossings<f32x16<S>>) {
+    fn accept_hits<S: Simd>(
+        &mut self,
+        simd: S,
+        place: &InstanceGeometry<'_>,
+        triangle: u32,
+        lanes: u64,
+        at: &TriangleHits<f32x16<S>>,
+    ) {
         let flags = InstanceFlags::from_bits_retain(place.instance.flags);
         let mut lanes = lanes;
         if flags.contains(InstanceFlags::TRANSLUCENT) {
             let (u, v) = (at.u.as_array(), at.v.as_array());
             let crossed = &place.scene.triangles[triangle as usize];
             for lane in lanes_of(lanes) {
-                let stops = stops(place.scene, place.instance, crossed, u[lane], v[lane]);
+                let stops = is_opaque_at(place.scene, place.instance, crossed, u[lane], v[lane]);
                 lanes &= !(u64::from(!stops) << lane);
             }
         }
         let ended = f32x16::splat(simd, f32::NEG_INFINITY);
         self.t_max = mask32x16::from_bitmask(simd, lanes).select(ended, load(simd, self.t_max)).into();
-        self.hit |= lanes;
+        self.hit_mask |= lanes;
     }
 }
 
 /// How much light gets through. A product of tints is rounded in the order in which the packet meets them, so that its last bits go by the rays
 /// that are asked together.
-pub(super) struct Transmittances {
-    t_max: Numbers,
-    light: [Numbers; 3],
+pub(super) struct TransmittancePacket {
+    t_max: F32Lanes,
+    light: [F32Lanes; 3],
     /// A bit for each ray that has met a layered instance.
     layers: u64,
 }
 
-impl Answers for Transmittances {
-    type Query = Transmittance;
-    type Hit = Vec3;
+impl PacketQuery for TransmittancePacket {
+    type Query = TransmittanceQuery;
+    type Output = Vec3;
     const MISS: Vec3 = Vec3::ONE;
 
     #[inline(always)]
@@ -288,27 +314,37 @@ impl Answers for Transmittances {
     }
 
     #[inline(always)]
-    fn hits<S: Simd>(&self, _: S, scene: &KernelScene<'_>, rays: &[Ray; LANES], ray_mask: u32) -> [Vec3; LANES] {
+    fn outputs<S: Simd>(
+        &self,
+        _: S,
+        scene: &KernelScene<'_>,
+        rays: &[RayRecord; LANES],
+        ray_mask: u32,
+    ) -> [Vec3; LANES] {
         let mut light = [Vec3::ONE; LANES];
         for (lane, light) in light.iter_mut().enumerate() {
-            *light = self.query(lane).light(scene, &rays[lane], ray_mask);
+            *light = self.query(lane).with_layers(scene, &rays[lane], ray_mask);
         }
         light
     }
 
     #[inline(always)]
-    fn t_max(&self) -> &Numbers {
+    fn t_max(&self) -> &F32Lanes {
         &self.t_max
     }
 
     #[inline(always)]
-    fn query(&self, lane: usize) -> Transmittance {
+    fn query(&self, lane: usize) -> TransmittanceQuery {
         let light = Vec3::new(self.light[0][lane], self.light[1][lane], self.light[2][lane]);
-        Transmittance { t_max: self.t_max[lane], light, has_layers: self.layers >> lane & 1 != 0 }
+        TransmittanceQuery { t_max: self.t_max[lane], transmittance: light, has_layers: self.layers >> lane & 1 != 0 }
     }
 
     #[inline(always)]
-    fn set_query(&mut self, lane: usize, Transmittance { t_max, light, has_layers }: Transmittance) {
+    fn set_query(
+        &mut self,
+        lane: usize,
+        TransmittanceQuery { t_max, transmittance: light, has_layers }: TransmittanceQuery,
+    ) {
         self.t_max[lane] = t_max;
         for (of_lanes, light) in self.light.iter_mut().zip(light.to_array()) {
             of_lanes[lane] = light;
@@ -316,21 +352,28 @@ impl Answers for Transmittances {
         self.layers = self.layers & !(1 << lane) | u64::from(has_layers) << lane;
     }
 
-    /// As [`Transmittance::cross`](Query::cross).
+    /// As [`TransmittanceQuery::accept_hit`](Query::accept_hit).
     #[inline(always)]
-    fn accept<S: Simd>(&mut self, simd: S, place: &Place<'_>, triangle: u32, lanes: u64, at: &Crossings<f32x16<S>>) {
+    fn accept_hits<S: Simd>(
+        &mut self,
+        simd: S,
+        place: &InstanceGeometry<'_>,
+        triangle: u32,
+        lanes: u64,
+        at: &TriangleHits<f32x16<S>>,
+    ) {
         let flags = InstanceFlags::from_bits_retain(place.instance.flags);
         if flags.contains(InstanceFlags::TRANSLUCENT) {
             let (t, u, v) = (at.t.as_array(), at.u.as_array(), at.v.as_array());
             for lane in lanes_of(lanes) {
                 let back = at.back >> lane & 1 != 0;
-                let candidate = Candidate { t: t[lane], u: u[lane], v: v[lane], back, triangle };
-                Lane { answers: self, lane }.cross(place, &candidate);
+                let candidate = CandidateHit { t: t[lane], u: u[lane], v: v[lane], back, triangle };
+                QueryLane { answers: self, lane }.accept_hit(place, &candidate);
             }
             return;
         }
         let stopped = mask32x16::from_bitmask(simd, lanes);
-        let set = |numbers: &mut Numbers, number: f32| {
+        let set = |numbers: &mut F32Lanes, number: f32| {
             *numbers = stopped.select(f32x16::splat(simd, number), load(simd, *numbers)).into();
         };
         set(&mut self.t_max, f32::NEG_INFINITY);

@@ -4,16 +4,16 @@ use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x8, f32x16, u8x16, u32x16};
 
 use crate::device::layout::WideNode;
-use crate::trace::kernel::BOX_SLACK;
+use crate::trace::kernel::BOX_ENTRY_SCALE;
 
 /// Rays of a packet.
 pub(super) const LANES: usize = 16;
 /// A number a ray.
-pub(super) type Numbers = [f32; LANES];
+pub(super) type F32Lanes = [f32; LANES];
 
 /// `[T; 3]::map`, but never a call: code in a function that is not inlined is not compiled for the processor's own lanes.
 #[inline(always)]
-pub(super) fn each<T: Copy, U>(v: [T; 3], f: impl Fn(T) -> U) -> [U; 3] {
+pub(super) fn map_axes<T: Copy, U>(v: [T; 3], f: impl Fn(T) -> U) -> [U; 3] {
     [f(v[0]), f(v[1]), f(v[2])]
 }
 
@@ -23,23 +23,23 @@ pub(super) fn abs<S: Simd, V: SimdFloat<S>>(v: [V; 3]) -> [V; 3] {
 }
 
 #[inline(always)]
-pub(super) fn least<S: Simd, V: SimdFloat<S>>(v: [V; 3]) -> V {
+pub(super) fn min_component<S: Simd, V: SimdFloat<S>>(v: [V; 3]) -> V {
     v[0].min(v[1]).min(v[2])
 }
 
 #[inline(always)]
-pub(super) fn greatest<S: Simd, V: SimdFloat<S>>(v: [V; 3]) -> V {
+pub(super) fn max_component<S: Simd, V: SimdFloat<S>>(v: [V; 3]) -> V {
     v[0].max(v[1]).max(v[2])
 }
 
 #[inline(always)]
-pub(super) fn load<S: Simd>(simd: S, numbers: Numbers) -> f32x16<S> {
+pub(super) fn load<S: Simd>(simd: S, numbers: F32Lanes) -> f32x16<S> {
     numbers.simd_into(simd)
 }
 
 /// The least of all lanes, in eight lanes.
 #[inline(always)]
-pub(super) fn least_of<S: Simd>(v: f32x16<S>) -> f32x8<S> {
+pub(super) fn reduce_min<S: Simd>(v: f32x16<S>) -> f32x8<S> {
     let (a, b) = v.split();
     let v = a.min(b);
     let v = v.min(v.rotate_elements_left::<4>());
@@ -49,7 +49,7 @@ pub(super) fn least_of<S: Simd>(v: f32x16<S>) -> f32x8<S> {
 
 /// The greatest of all lanes, in eight lanes.
 #[inline(always)]
-pub(super) fn greatest_of<S: Simd>(v: f32x16<S>) -> f32x8<S> {
+pub(super) fn reduce_max<S: Simd>(v: f32x16<S>) -> f32x8<S> {
     let (a, b) = v.split();
     let v = a.max(b);
     let v = v.max(v.rotate_elements_left::<4>());
@@ -73,7 +73,7 @@ pub(super) fn lanes_of(mut mask: u64) -> impl Iterator<Item = usize> {
 /// For each axis the order of bytes that brings the near planes of a node's children into the lower lanes, the far ones into the
 /// upper, for rays of that octant.
 #[inline(always)]
-pub(super) fn near_first<S: Simd>(simd: S, octant: usize) -> [u8x16<S>; 3] {
+pub(super) fn near_far_shuffle<S: Simd>(simd: S, octant: usize) -> [u8x16<S>; 3] {
     static ORDERS: [[[u8; 16]; 3]; 8] = {
         let mut orders = [[[0; 16]; 3]; 8];
         let mut i = 0;
@@ -88,16 +88,16 @@ pub(super) fn near_first<S: Simd>(simd: S, octant: usize) -> [u8x16<S>; 3] {
     [x.simd_into(simd), y.simd_into(simd), z.simd_into(simd)]
 }
 
-/// The planes of a node's children along an axis, in steps of its grid and in an order of [`near_first`].
+/// The planes of a node's children along an axis, in steps of its grid and in an order of [`near_far_shuffle`].
 #[inline(always)]
-pub(super) fn planes<S: Simd>(simd: S, node: &WideNode, axis: usize, order: u8x16<S>) -> f32x16<S> {
+pub(super) fn child_planes<S: Simd>(simd: S, node: &WideNode, axis: usize, order: u8x16<S>) -> f32x16<S> {
     let bytes: &[u8; 16] = bytemuck::cast_ref(&node.planes[axis]);
-    floats(simd, u8x16::simd_from(simd, *bytes).swizzle_dyn(order))
+    u8_to_f32(simd, u8x16::simd_from(simd, *bytes).swizzle_dyn(order))
 }
 
 /// The lengths of a step of a node's grid.
 #[inline(always)]
-pub(super) fn steps<S: Simd>(simd: S, node: &WideNode) -> [f32x16<S>; 3] {
+pub(super) fn grid_step<S: Simd>(simd: S, node: &WideNode) -> [f32x16<S>; 3] {
     let exponents = u32x16::splat(simd, u32::from_le_bytes(node.exponents));
     let step = |bits: u32x16<S>| (bits & 0xff << 23).bitcast::<f32x16<S>>();
     [step(exponents << 23), step(exponents << 15), step(exponents << 7)]
@@ -105,26 +105,26 @@ pub(super) fn steps<S: Simd>(simd: S, node: &WideNode) -> [f32x16<S>; 3] {
 
 /// A bit for each child that a node has.
 #[inline(always)]
-pub(super) fn children(node: &WideNode) -> u32 {
+pub(super) fn used_slots(node: &WideNode) -> u32 {
     u32::from(node.exponents[3])
 }
 
 /// What boxes must reach of a ray: its start in the lower lanes, its end, negated, in the upper ones. The greatest of these and of
 /// where the ray enters and, negated, leaves the slabs of a box says whether it is met.
 #[inline(always)]
-pub(super) fn range<S: Simd>(t_min: f32x8<S>, t_max: f32x8<S>) -> f32x16<S> {
-    (t_min * BOX_SLACK).combine(-t_max)
+pub(super) fn ray_interval<S: Simd>(t_min: f32x8<S>, t_max: f32x8<S>) -> f32x16<S> {
+    (t_min * BOX_ENTRY_SCALE).combine(-t_max)
 }
 
-/// The slots whose boxes are met, and where, by the greatest of all slabs and the [`range`].
+/// The slots whose boxes are met, and where, by the greatest of all slabs and the [`ray_interval`].
 #[inline(always)]
-pub(super) fn met<S: Simd>(node: &WideNode, slabs: f32x16<S>) -> (u32, f32x8<S>) {
+pub(super) fn hit_slots<S: Simd>(node: &WideNode, slabs: f32x16<S>) -> (u32, f32x8<S>) {
     let (enters, leaves) = slabs.split();
-    ((enters + leaves).simd_le(0.0).to_bitmask() as u32 & children(node), enters)
+    ((enters + leaves).simd_le(0.0).to_bitmask() as u32 & used_slots(node), enters)
 }
 
 #[inline(always)]
-fn floats<S: Simd>(simd: S, bytes: u8x16<S>) -> f32x16<S> {
+fn u8_to_f32<S: Simd>(simd: S, bytes: u8x16<S>) -> f32x16<S> {
     #[cfg(target_arch = "x86_64")]
     {
         let array: [u8; 16] = bytes.into();

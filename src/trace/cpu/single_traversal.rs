@@ -4,30 +4,34 @@ use bytemuck::Zeroable;
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x4, f32x8, f32x16, u8x16};
 
-use super::local_packet::{LocalPacket, places_of_axes};
-use super::packet_queries::{Answers, Lane, Place};
-use super::simd::{LANES, Numbers, each, lanes_of, load, met, near_first, planes, range, steps};
-use super::triangle_test::{Shear, Unsheared, by_corner, corners_of_four, cross, first_four, plane_distances};
-use super::wide_traversal::{DEPTH, Stack, Walker, walk};
+use super::blas_traversal::{MAX_NODE_DEPTH, NodeVisitor, Stack, traverse_blas};
+use super::packet_queries::{InstanceGeometry, PacketQuery, QueryLane};
+use super::ray_packet::{LocalPacket, inverse_shear_axes};
+use super::simd::{
+    F32Lanes, LANES, child_planes, grid_step, hit_slots, lanes_of, load, map_axes, near_far_shuffle, ray_interval,
+};
+use super::triangle_test::{
+    PlaneOperands, Shear, first_four, gather_corners, intersect_triangles, plane_distances, split_corners,
+};
 use crate::device::layout::{PrimitiveRange, Triangle, WideNode};
-use crate::trace::kernel::BOX_SLACK;
-use crate::trace::queries::Candidate;
+use crate::trace::kernel::BOX_ENTRY_SCALE;
+use crate::trace::queries::CandidateHit;
 
 /// What single rays write to.
 #[derive(Clone, Copy, Zeroable)]
-pub(super) struct Memory {
+pub(super) struct SingleScratch {
     stack: Stack,
     /// Where the ray enters the children of the nodes that are being visited.
-    enters: [[f32; 8]; DEPTH],
+    t_entry: [[f32; 8]; MAX_NODE_DEPTH],
 }
 
 /// The rays of these lanes, one by one, from the node of index `root` on. A function of its own: it needs all registers.
 #[inline(never)]
-pub(super) fn walk_singly<S: Simd, A: Answers>(
+pub(super) fn traverse_single_rays<S: Simd, A: PacketQuery>(
     simd: S,
     root: u32,
-    memory: &mut Memory,
-    place: &Place<'_>,
+    memory: &mut SingleScratch,
+    place: &InstanceGeometry<'_>,
     rays: &LocalPacket,
     lanes: u64,
     answers: &mut A,
@@ -36,7 +40,7 @@ pub(super) fn walk_singly<S: Simd, A: Answers>(
         #[inline(always)]
         || {
             for lane in lanes_of(lanes) {
-                walk_lane(simd, root, memory, place, rays, lane, &mut Lane { answers, lane });
+                traverse_single_ray(simd, root, memory, place, rays, lane, &mut QueryLane { answers, lane });
             }
         },
     );
@@ -44,9 +48,9 @@ pub(super) fn walk_singly<S: Simd, A: Answers>(
 
 /// The rays of these lanes, one by one, against the triangles of a leaf. A function of its own: it needs all registers.
 #[inline(never)]
-pub(super) fn cross_singly<S: Simd, A: Answers>(
+pub(super) fn intersect_leaf_single_rays<S: Simd, A: PacketQuery>(
     simd: S,
-    place: &Place<'_>,
+    place: &InstanceGeometry<'_>,
     rays: &LocalPacket,
     lanes: u64,
     triangles: PrimitiveRange,
@@ -56,106 +60,107 @@ pub(super) fn cross_singly<S: Simd, A: Answers>(
         #[inline(always)]
         || {
             for lane in lanes_of(lanes) {
-                cross_leaf(simd, place, rays, lane % LANES, triangles, &mut Lane { answers, lane });
+                intersect_leaf(simd, place, rays, lane % LANES, triangles, &mut QueryLane { answers, lane });
             }
         },
     );
 }
 
 #[inline(always)]
-fn walk_lane<S: Simd>(
+fn traverse_single_ray<S: Simd>(
     simd: S,
     root: u32,
-    memory: &mut Memory,
-    place: &Place<'_>,
+    memory: &mut SingleScratch,
+    place: &InstanceGeometry<'_>,
     rays: &LocalPacket,
     lane: usize,
-    answer: &mut Lane<'_, impl Answers>,
+    answer: &mut QueryLane<'_, impl PacketQuery>,
 ) {
     let lane = lane % LANES;
-    let mut walker = Single::new(simd, place, rays, lane, answer, &mut memory.enters);
-    walk(place.nodes, root, rays.octants[lane] as usize, &mut memory.stack, &mut walker);
+    let mut walker = SingleTraversal::new(simd, place, rays, lane, answer, &mut memory.t_entry);
+    traverse_blas(place.nodes, root, rays.octants[lane] as usize, &mut memory.stack, &mut walker);
 }
 
 /// One ray.
-struct Single<'a, 'l, S: Simd, A> {
+struct SingleTraversal<'a, 'l, S: Simd, A> {
     simd: S,
-    place: &'a Place<'a>,
+    place: &'a InstanceGeometry<'a>,
     rays: &'a LocalPacket,
     lane: usize,
-    answer: &'a mut Lane<'l, A>,
-    enters: &'a mut [[f32; 8]; DEPTH],
+    answer: &'a mut QueryLane<'l, A>,
+    t_entry: &'a mut [[f32; 8]; MAX_NODE_DEPTH],
     origin: [f32x16<S>; 3],
     /// For near planes in the lower lanes, times the slack of boxes; for far planes in the upper ones, negated.
     scales: [f32x16<S>; 3],
-    orders: [u8x16<S>; 3],
+    near_far_shuffles: [u8x16<S>; 3],
     t_max: f32x8<S>,
-    range: f32x16<S>,
+    ray_interval: f32x16<S>,
 }
 
 /// That number of one ray in all lanes.
 #[inline(always)]
-fn of<S: Simd, V: SimdFloat<S, Element = f32>>(simd: S, numbers: &Numbers, lane: usize) -> V {
+fn splat_lane<S: Simd, V: SimdFloat<S, Element = f32>>(simd: S, numbers: &F32Lanes, lane: usize) -> V {
     V::splat(simd, numbers[lane])
 }
 
-impl<'a, 'l, S: Simd, A: Answers> Single<'a, 'l, S, A> {
+impl<'a, 'l, S: Simd, A: PacketQuery> SingleTraversal<'a, 'l, S, A> {
     #[inline(always)]
     fn new(
         simd: S,
-        place: &'a Place<'a>,
+        place: &'a InstanceGeometry<'a>,
         rays: &'a LocalPacket,
         lane: usize,
-        answer: &'a mut Lane<'l, A>,
-        enters: &'a mut [[f32; 8]; DEPTH],
+        answer: &'a mut QueryLane<'l, A>,
+        enters: &'a mut [[f32; 8]; MAX_NODE_DEPTH],
     ) -> Self {
-        let signs = f32x8::splat(simd, BOX_SLACK).combine(f32x8::splat(simd, -1.0));
+        let signs = f32x8::splat(simd, BOX_ENTRY_SCALE).combine(f32x8::splat(simd, -1.0));
         let t_max = f32x8::splat(simd, answer.t_max());
         Self {
             simd,
             place,
             rays,
             lane,
-            enters,
+            t_entry: enters,
             origin: [
-                of(simd, &rays.origins[0], lane),
-                of(simd, &rays.origins[1], lane),
-                of(simd, &rays.origins[2], lane),
+                splat_lane(simd, &rays.origins[0], lane),
+                splat_lane(simd, &rays.origins[1], lane),
+                splat_lane(simd, &rays.origins[2], lane),
             ],
             scales: [
-                of::<S, f32x16<S>>(simd, &rays.reciprocals[0], lane) * signs,
-                of::<S, f32x16<S>>(simd, &rays.reciprocals[1], lane) * signs,
-                of::<S, f32x16<S>>(simd, &rays.reciprocals[2], lane) * signs,
+                splat_lane::<S, f32x16<S>>(simd, &rays.reciprocals[0], lane) * signs,
+                splat_lane::<S, f32x16<S>>(simd, &rays.reciprocals[1], lane) * signs,
+                splat_lane::<S, f32x16<S>>(simd, &rays.reciprocals[2], lane) * signs,
             ],
-            orders: near_first(simd, rays.octants[lane] as usize),
+            near_far_shuffles: near_far_shuffle(simd, rays.octants[lane] as usize),
             t_max,
-            range: range(of(simd, &rays.t_min, lane), t_max),
+            ray_interval: ray_interval(splat_lane(simd, &rays.t_min, lane), t_max),
             answer,
         }
     }
 }
 
-impl<S: Simd, A: Answers> Walker for Single<'_, '_, S, A> {
+impl<S: Simd, A: PacketQuery> NodeVisitor for SingleTraversal<'_, '_, S, A> {
     #[inline(always)]
-    fn meet(&mut self, node: &WideNode, depth: usize) -> u32 {
+    fn intersect_children(&mut self, node: &WideNode, depth: usize) -> u32 {
         let simd = self.simd;
-        let steps = steps(simd, node);
-        let [x, y, z] = each(
+        let steps = grid_step(simd, node);
+        let [x, y, z] = map_axes(
             [0, 1, 2],
             #[inline(always)]
             |axis: usize| {
                 let to_origin = self.origin[axis] - f32x16::splat(simd, node.origin[axis]);
-                planes(simd, node, axis, self.orders[axis]).mul_sub(steps[axis], to_origin) * self.scales[axis]
+                child_planes(simd, node, axis, self.near_far_shuffles[axis]).mul_sub(steps[axis], to_origin)
+                    * self.scales[axis]
             },
         );
-        let (met, enters) = met(node, x.max(y).max(z.max(self.range)));
-        self.enters[depth] = enters.into();
+        let (met, enters) = hit_slots(node, x.max(y).max(z.max(self.ray_interval)));
+        self.t_entry[depth] = enters.into();
         met
     }
 
     #[inline(always)]
-    fn still_meet(&self, slots: u32, depth: usize) -> u32 {
-        slots & f32x8::simd_from(self.simd, self.enters[depth]).simd_le(self.t_max).to_bitmask() as u32
+    fn cull_beyond_t_max(&self, slots: u32, depth: usize) -> u32 {
+        slots & f32x8::simd_from(self.simd, self.t_entry[depth]).simd_le(self.t_max).to_bitmask() as u32
     }
 
     #[inline(always)]
@@ -164,11 +169,11 @@ impl<S: Simd, A: Answers> Walker for Single<'_, '_, S, A> {
     }
 
     #[inline(always)]
-    fn leaf(&mut self, _: &WideNode, _: usize, _: usize, triangles: PrimitiveRange) -> bool {
-        let is_nearer = cross_leaf(self.simd, self.place, self.rays, self.lane, triangles, self.answer);
+    fn visit_leaf(&mut self, _: &WideNode, _: usize, _: usize, triangles: PrimitiveRange) -> bool {
+        let is_nearer = intersect_leaf(self.simd, self.place, self.rays, self.lane, triangles, self.answer);
         if is_nearer {
             self.t_max = f32x8::splat(self.simd, self.answer.t_max());
-            self.range = range(of(self.simd, &self.rays.t_min, self.lane), self.t_max);
+            self.ray_interval = ray_interval(splat_lane(self.simd, &self.rays.t_min, self.lane), self.t_max);
         }
         is_nearer
     }
@@ -176,75 +181,79 @@ impl<S: Simd, A: Answers> Walker for Single<'_, '_, S, A> {
 
 /// Tests the triangles of a leaf; says whether the ray may end nearer now.
 #[inline(always)]
-fn cross_leaf<S: Simd>(
+fn intersect_leaf<S: Simd>(
     simd: S,
-    place: &Place<'_>,
+    place: &InstanceGeometry<'_>,
     rays: &LocalPacket,
     lane: usize,
     triangles: PrimitiveRange,
-    answer: &mut Lane<'_, impl Answers>,
+    answer: &mut QueryLane<'_, impl PacketQuery>,
 ) -> bool {
-    let (mut first, mut count) = (place.instance.first_triangle + triangles.first(), triangles.count());
+    let (mut first, mut count) =
+        (place.instance.first_triangle + triangles.first_primitive(), triangles.primitive_count());
     let mut is_nearer = false;
     while count > 4 {
-        is_nearer |= cross_four(simd, place, rays, lane, first, 4, answer);
+        is_nearer |= intersect_four_triangles(simd, place, rays, lane, first, 4, answer);
         (first, count) = (first + 4, count - 4);
     }
-    is_nearer | cross_four(simd, place, rays, lane, first, count, answer)
+    is_nearer | intersect_four_triangles(simd, place, rays, lane, first, count, answer)
 }
 
 /// Tests up to four triangles.
 #[inline(always)]
-fn cross_four<S: Simd>(
+fn intersect_four_triangles<S: Simd>(
     simd: S,
-    place: &Place<'_>,
+    place: &InstanceGeometry<'_>,
     rays: &LocalPacket,
     lane: usize,
     first: u32,
     count: u32,
-    answer: &mut Lane<'_, impl Answers>,
+    answer: &mut QueryLane<'_, impl PacketQuery>,
 ) -> bool {
     let triangles = &place.scene.triangles[first as usize..];
     let mut few = [Triangle::zeroed(); 4];
     let four = first_four(triangles, &mut few);
     let lanes = (1 << count) - 1;
-    let axes = rays.axes[lane] as usize;
-    let p = corners_of_four(simd, four, axes);
-    let in_memory: [Numbers; 3] = [p[0].into(), p[1].into(), p[2].into()];
-    let from: [f32x16<S>; 3] =
-        [of(simd, &rays.from[0], lane), of(simd, &rays.from[1], lane), of(simd, &rays.from[2], lane)];
+    let axes = rays.shear_axes[lane] as usize;
+    let p = gather_corners(simd, four, axes);
+    let in_memory: [F32Lanes; 3] = [p[0].into(), p[1].into(), p[2].into()];
+    let from: [f32x16<S>; 3] = [
+        splat_lane(simd, &rays.sheared_origins[0], lane),
+        splat_lane(simd, &rays.sheared_origins[1], lane),
+        splat_lane(simd, &rays.sheared_origins[2], lane),
+    ];
     let shear = Shear {
-        minus_scale: of(simd, &rays.shear.minus_scale, lane),
-        slopes: [of(simd, &rays.shear.slopes[0], lane), of(simd, &rays.shear.slopes[1], lane)],
-        t_scale: of(simd, &rays.shear.t_scale, lane),
+        minus_scale: splat_lane(simd, &rays.shear.minus_scale, lane),
+        slopes: [splat_lane(simd, &rays.shear.slopes[0], lane), splat_lane(simd, &rays.shear.slopes[1], lane)],
+        t_scale: splat_lane(simd, &rays.shear.t_scale, lane),
     };
-    let [x, y, t] = shear.see([from[0] - p[0], from[1] - p[1]], p[2] - from[2]);
-    let corners = [by_corner(x), by_corner(y), by_corner(t)];
-    let crossings = cross(
+    let [x, y, t] = shear.apply([from[0] - p[0], from[1] - p[1]], p[2] - from[2]);
+    let corners = [split_corners(x), split_corners(y), split_corners(t)];
+    let crossings = intersect_triangles(
         simd,
         lanes,
         corners,
-        of(simd, &rays.depth_scale, lane),
+        splat_lane(simd, &rays.depth_scale, lane),
         #[inline(always)]
         |t, weights| {
-            let [x, y, z] = each(
-                places_of_axes(axes),
+            let [x, y, z] = map_axes(
+                inverse_shear_axes(axes),
                 #[inline(always)]
-                |place: usize| by_corner(load(simd, in_memory[place])),
+                |place: usize| split_corners(load(simd, in_memory[place])),
             );
-            let unsheared = Unsheared {
-                origin: each(
+            let unsheared = PlaneOperands {
+                origin: map_axes(
                     [0, 1, 2],
                     #[inline(always)]
-                    |axis: usize| of::<S, f32x4<S>>(simd, &rays.origins[axis], lane),
+                    |axis: usize| splat_lane::<S, f32x4<S>>(simd, &rays.origins[axis], lane),
                 ),
-                direction: each(
+                direction: map_axes(
                     [0, 1, 2],
                     #[inline(always)]
-                    |axis: usize| of::<S, f32x4<S>>(simd, &rays.directions[axis], lane),
+                    |axis: usize| splat_lane::<S, f32x4<S>>(simd, &rays.directions[axis], lane),
                 ),
                 corners: [[x[0], y[0], z[0]], [x[1], y[1], z[1]], [x[2], y[2], z[2]]],
-                scale: -of::<S, f32x4<S>>(simd, &rays.shear.minus_scale, lane),
+                scale: -splat_lane::<S, f32x4<S>>(simd, &rays.shear.minus_scale, lane),
             };
             plane_distances(&unsheared, t, weights)
         },
@@ -260,8 +269,8 @@ fn cross_four<S: Simd>(
         let lane = crossed.trailing_zeros() as usize & 3;
         crossed &= crossed - 1;
         let back = crossings.back >> lane & 1 != 0;
-        let candidate = Candidate { t: t[lane], u: u[lane], v: v[lane], back, triangle: first + lane as u32 };
-        answer.cross(place, &candidate);
+        let candidate = CandidateHit { t: t[lane], u: u[lane], v: v[lane], back, triangle: first + lane as u32 };
+        answer.accept_hit(place, &candidate);
     }
     true
 }

@@ -2,30 +2,30 @@
 
 use glam::Vec3;
 
-use super::dispatch::Rays;
-use crate::device::layout::{FrameParams, Hit, Light, Ray};
-use crate::trace::kernel::{KernelScene, Lit, Met, Path, Pixel, camera_ray, shining};
+use super::dispatch::PacketTracer;
+use crate::device::layout::{FrameParams, HitRecord, LightRecord, RayRecord};
+use crate::trace::kernel::{KernelScene, LightSample, Pixel, RayTree, SurfaceHit, active_lights, camera_ray};
 
 /// Pixels along the side of a block. Its primary rays are a packet, but at the edges of an image, where blocks are smaller.
-const BLOCK: usize = 4;
+const BLOCK_SIDE: usize = 4;
 
 /// Renders tile after tile. Rays of paths that go on stand beside each other, so that packets are full for as long as there are any.
 pub(super) struct TileTracer<'a> {
-    tracer: Rays<'a>,
-    paths: Vec<Path>,
+    tracer: PacketTracer<'a>,
+    paths: Vec<RayTree>,
     /// The rays that are traced together, and which paths, or surfaces, they belong to.
-    rays: Vec<Ray>,
-    owners: Vec<usize>,
-    hits: Vec<Hit>,
-    surfaces: Vec<Unshaded>,
-    lit: Vec<Lit>,
+    rays: Vec<RayRecord>,
+    ray_owners: Vec<usize>,
+    hits: Vec<HitRecord>,
+    surfaces: Vec<PendingSurface>,
+    light_samples: Vec<LightSample>,
     transmittances: Vec<Vec3>,
 }
 
 /// A surface that the ray of a path has met, and that waits for its light.
-struct Unshaded {
+struct PendingSurface {
     path: usize,
-    met: Met,
+    met: SurfaceHit,
     /// What goes back along the ray of the lights so far.
     light: Vec3,
 }
@@ -33,13 +33,13 @@ struct Unshaded {
 impl<'a> TileTracer<'a> {
     pub(super) fn new(scene: &'a KernelScene<'a>) -> Self {
         Self {
-            tracer: Rays::new(scene),
+            tracer: PacketTracer::new(scene),
             paths: Vec::new(),
             rays: Vec::new(),
-            owners: Vec::new(),
+            ray_owners: Vec::new(),
             hits: Vec::new(),
             surfaces: Vec::new(),
-            lit: Vec::new(),
+            light_samples: Vec::new(),
             transmittances: Vec::new(),
         }
     }
@@ -47,21 +47,21 @@ impl<'a> TileTracer<'a> {
     /// Renders the pixels of a tile, row by row.
     pub(super) fn render(&mut self, params: &FrameParams, [left, top]: [u32; 2], columns: u32, pixels: &mut [Pixel]) {
         let rows = pixels.len() as u32 / columns;
-        let blocks = (0..rows).step_by(BLOCK).flat_map(|y| (0..columns).step_by(BLOCK).map(move |x| [x, y]));
+        let blocks = (0..rows).step_by(BLOCK_SIDE).flat_map(|y| (0..columns).step_by(BLOCK_SIDE).map(move |x| [x, y]));
         let places = blocks.flat_map(|[x, y]| {
-            let ends = [x + BLOCK as u32, y + BLOCK as u32];
+            let ends = [x + BLOCK_SIDE as u32, y + BLOCK_SIDE as u32];
             (y..ends[1].min(rows)).flat_map(move |y| (x..ends[0].min(columns)).map(move |x| [x, y]))
         });
         // Paths are large: those of the last tile are used again.
-        self.paths.resize_with(pixels.len(), Path::default);
+        self.paths.resize_with(pixels.len(), RayTree::default);
         for ([x, y], path) in places.clone().zip(&mut self.paths) {
-            path.start(&camera_ray(params, left + x, top + y));
+            path.reset(&camera_ray(params, left + x, top + y));
         }
-        while self.trace(params) {
-            for light in shining(self.tracer.scene, params) {
-                self.shine(params, light);
+        while self.trace_next_rays(params) {
+            for light in active_lights(self.tracer.scene, params) {
+                self.add_light(params, light);
             }
-            for Unshaded { path, met, light } in &self.surfaces {
+            for PendingSurface { path, met, light } in &self.surfaces {
                 self.paths[*path].shade(params, met, *light);
             }
         }
@@ -71,42 +71,44 @@ impl<'a> TileTracer<'a> {
     }
 
     /// Traces a ray of each path that has one; says whether there were any.
-    fn trace(&mut self, params: &FrameParams) -> bool {
+    fn trace_next_rays(&mut self, params: &FrameParams) -> bool {
         self.rays.clear();
-        self.owners.clear();
+        self.ray_owners.clear();
         for (index, path) in self.paths.iter_mut().enumerate() {
             if let Some(ray) = path.next_ray() {
                 self.rays.push(ray);
-                self.owners.push(index);
+                self.ray_owners.push(index);
             }
         }
         self.surfaces.clear();
-        self.hits.resize(self.rays.len(), Hit::MISS);
+        self.hits.resize(self.rays.len(), HitRecord::MISS);
         self.tracer.closest_hits(&self.rays, params.ray_mask, &mut self.hits);
-        for (&path, hit) in self.owners.iter().zip(&self.hits) {
-            if let Some(met) = self.paths[path].meet(self.tracer.scene, params, hit) {
-                self.surfaces.push(Unshaded { path, met, light: Vec3::ZERO });
+        for (&path, hit) in self.ray_owners.iter().zip(&self.hits) {
+            if let Some(met) = self.paths[path].record_hit(self.tracer.scene, params, hit) {
+                self.surfaces.push(PendingSurface { path, met, light: Vec3::ZERO });
             }
         }
         !self.rays.is_empty()
     }
 
     /// Adds what a light sends to the viewer.
-    fn shine(&mut self, params: &FrameParams, light: &Light) {
+    fn add_light(&mut self, params: &FrameParams, light: &LightRecord) {
         self.rays.clear();
-        self.owners.clear();
-        self.lit.clear();
+        self.ray_owners.clear();
+        self.light_samples.clear();
         for (index, surface) in self.surfaces.iter().enumerate() {
-            if let Some(lit) = surface.met.lit(light) {
+            if let Some(lit) = surface.met.light_sample(light) {
                 self.rays.push(lit.ray);
-                self.owners.push(index);
-                self.lit.push(lit);
+                self.ray_owners.push(index);
+                self.light_samples.push(lit);
             }
         }
         self.transmittances.resize(self.rays.len(), Vec3::ONE);
         self.tracer.transmittances(&self.rays, params.ray_mask, &mut self.transmittances);
-        for ((&surface, lit), &transmittance) in self.owners.iter().zip(&self.lit).zip(&self.transmittances) {
-            self.surfaces[surface].light += lit.seen(transmittance);
+        for ((&surface, lit), &transmittance) in
+            self.ray_owners.iter().zip(&self.light_samples).zip(&self.transmittances)
+        {
+            self.surfaces[surface].light += lit.radiance(transmittance);
         }
     }
 }

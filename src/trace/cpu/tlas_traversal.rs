@@ -4,26 +4,32 @@ use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x16};
 use glam::Vec3;
 
-use super::local_packet::{Packet, meet_slabs, reciprocals};
-use super::packet_queries::Answers;
+use super::packet_queries::PacketQuery;
 use super::packet_traversal::SINGLE_RAY_THRESHOLD;
-use super::simd::{Numbers, each, lanes_of, load};
+use super::ray_packet::{RayPacket, reciprocals, slab_test};
+use super::simd::{F32Lanes, lanes_of, load, map_axes};
 use crate::accel::Tlas;
-use crate::device::layout::{Node, PrimitiveRange, Ray};
-use crate::trace::kernel::{KernelScene, meets_box, slab_ray};
+use crate::device::layout::{Node, PrimitiveRange, RayRecord};
+use crate::trace::kernel::{KernelScene, intersects_box, slab_ray};
 
 /// Visits the instances below the node of index `root` whose boxes the ray meets no farther than `t_max`, which `visit` returns anew.
 #[inline(always)]
-fn walk_top(scene: &KernelScene<'_>, root: u32, ray: &Ray, mut t_max: f32, mut visit: impl FnMut(u32) -> f32) {
+fn traverse_tlas_single(
+    scene: &KernelScene<'_>,
+    root: u32,
+    ray: &RayRecord,
+    mut t_max: f32,
+    mut visit: impl FnMut(u32) -> f32,
+) {
     let direction = Vec3::from_array(ray.direction);
     let slab = slab_ray(Vec3::from_array(ray.origin), direction);
-    walk_nodes(
+    traverse_tlas(
         scene.tlas_nodes,
         root,
         direction,
         #[inline(always)]
         |_, node, instance| {
-            let met = meets_box(&slab, ray.t_min, t_max, node);
+            let met = intersects_box(&slab, ray.t_min, t_max, node);
             if let (true, Some(instance)) = (met, instance) {
                 t_max = visit(instance);
             }
@@ -35,16 +41,19 @@ fn walk_top(scene: &KernelScene<'_>, root: u32, ray: &Ray, mut t_max: f32, mut v
 /// Visits the instances whose boxes rays of the packet meet no farther than its answers, with a bit for each of these rays: near ones
 /// first for the first ray, and for each of those few that go on one by one.
 #[inline(always)]
-pub(super) fn walk_top_packet<S: Simd, A: Answers>(
+pub(super) fn traverse_tlas_packet<S: Simd, A: PacketQuery>(
     simd: S,
     scene: &KernelScene<'_>,
-    packet: &Packet<S>,
+    packet: &RayPacket<S>,
     answers: &mut A,
     mut visit: impl FnMut(u32, u64, &mut A),
 ) {
-    let slabs =
-        Slabs { origins: packet.origins, reciprocals: reciprocals(simd, packet.directions), t_min: packet.t_min };
-    walk_nodes(
+    let slabs = PacketSlabTest {
+        origins: packet.origins,
+        reciprocals: reciprocals(simd, packet.directions),
+        t_min: packet.t_min,
+    };
+    traverse_tlas(
         scene.tlas_nodes,
         0,
         Vec3::from_array(packet.ray(0).direction),
@@ -62,7 +71,7 @@ pub(super) fn walk_top_packet<S: Simd, A: Answers>(
                 return true;
             }
             for lane in lanes_of(met) {
-                walk_top(
+                traverse_tlas_single(
                     scene,
                     index,
                     &packet.ray(lane),
@@ -80,17 +89,17 @@ pub(super) fn walk_top_packet<S: Simd, A: Answers>(
 }
 
 /// The rays of a packet as boxes see them.
-struct Slabs<S: Simd> {
+struct PacketSlabTest<S: Simd> {
     origins: [f32x16<S>; 3],
     reciprocals: [f32x16<S>; 3],
     t_min: f32x16<S>,
 }
 
-impl<S: Simd> Slabs<S> {
+impl<S: Simd> PacketSlabTest<S> {
     /// A bit for each ray that meets a box.
     #[inline(always)]
-    fn meet(&self, simd: S, node: &Node, t_max: &Numbers) -> u64 {
-        let t = each(
+    fn meet(&self, simd: S, node: &Node, t_max: &F32Lanes) -> u64 {
+        let t = map_axes(
             [0, 1, 2],
             #[inline(always)]
             |axis: usize| {
@@ -99,7 +108,7 @@ impl<S: Simd> Slabs<S> {
                 [a.min(b), a.max(b)]
             },
         );
-        meet_slabs(t, self.t_min, load(simd, *t_max))
+        slab_test(t, self.t_min, load(simd, *t_max))
     }
 }
 
@@ -107,13 +116,13 @@ impl<S: Simd> Slabs<S> {
 ///
 /// The stack is never too short for a [`Tlas`]. One made by hand may be deeper: what has no room is walked along escape indices.
 #[inline(always)]
-fn walk_nodes(nodes: &[Node], root: u32, direction: Vec3, mut visit: impl FnMut(u32, &Node, Option<u32>) -> bool) {
+fn traverse_tlas(nodes: &[Node], root: u32, direction: Vec3, mut visit: impl FnMut(u32, &Node, Option<u32>) -> bool) {
     // A hierarchy of nothing is absent or zero.
     if nodes.first().is_none_or(|node| node.escape_index == 0) {
         return;
     }
     if nodes[0].primitives != PrimitiveRange::INNER {
-        visit(0, &nodes[0], Some(nodes[0].primitives.first()));
+        visit(0, &nodes[0], Some(nodes[0].primitives.first_primitive()));
         return;
     }
     let mut stack = [root; Tlas::MAX_DEPTH + 1];
@@ -130,7 +139,8 @@ fn walk_nodes(nodes: &[Node], root: u32, direction: Vec3, mut visit: impl FnMut(
         };
         let node = &nodes[index as usize];
         let is_leaf = node.primitives != PrimitiveRange::INNER;
-        let opens = visit(index, node, is_leaf.then(|| node.primitives.first())) && !is_leaf && !node.is_unused();
+        let opens =
+            visit(index, node, is_leaf.then(|| node.primitives.first_primitive())) && !is_leaf && !node.is_empty();
         let left = index + 1;
         if on_rope {
             rope.start = if opens { left } else { node.escape_index };

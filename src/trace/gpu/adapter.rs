@@ -9,20 +9,20 @@ use crate::{Error, Result};
 
 /// Which kinds of adapter count as a GPU.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Adapters {
+pub enum AdapterKinds {
     /// GPUs only. A software renderer (llvmpipe, WARP) is refused: the `cpu` executor is faster than the
     /// same kernel run through one.
     #[default]
     Hardware,
     /// Software renderers too, where there is no GPU: to check the kernel, not to be fast.
-    Any,
+    IncludingSoftware,
 }
 
 /// How [`GpuTracer::new`](super::GpuTracer::new) looks for a GPU.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct GpuOptions {
     /// The kinds of adapter that will do.
-    pub adapters: Adapters,
+    pub adapters: AdapterKinds,
     /// The graphics interfaces to look through; none at all finds nothing.
     pub backends: wgpu::Backends,
 }
@@ -30,7 +30,7 @@ pub struct GpuOptions {
 impl Default for GpuOptions {
     /// GPUs only, through every interface that this build has (or those that `WGPU_BACKEND` lists: "vulkan", "gl").
     fn default() -> Self {
-        Self { adapters: Adapters::default(), backends: wgpu::Backends::all().with_env() }
+        Self { adapters: AdapterKinds::default(), backends: wgpu::Backends::all().with_env() }
     }
 }
 
@@ -51,7 +51,7 @@ pub fn required_limits(adapter: &wgpu::Adapter) -> wgpu::Limits {
 }
 
 /// The features that Ropewalk uses where `adapter` has them: timestamps, for the time spent tracing. It works without.
-pub fn wanted_features(adapter: &wgpu::Adapter) -> wgpu::Features {
+pub fn optional_features(adapter: &wgpu::Adapter) -> wgpu::Features {
     adapter.features() & wgpu::Features::TIMESTAMP_QUERY
 }
 
@@ -90,7 +90,7 @@ pub(super) fn describe(info: &AdapterInfo) -> String {
 
 /// Fails, naming it, on the first limit that is too low for the kernel.
 pub(super) fn check_limits(limits: &wgpu::Limits) -> Result<()> {
-    let workgroups = batch::MOST_WORKGROUPS.max(frame::most_workgroups(limits));
+    let workgroups = batch::MAX_WORKGROUPS.max(frame::most_workgroups(limits));
     for (what, needed, limit) in [
         ("the kernel (storage buffers a shader stage)", STORAGE_BUFFERS, limits.max_storage_buffers_per_shader_stage),
         ("the kernel (storage textures a shader stage)", 3, limits.max_storage_textures_per_shader_stage),
@@ -122,10 +122,10 @@ fn rank(info: &AdapterInfo) -> (u32, bool) {
     (kind, info.backend == Backend::Gl)
 }
 
-fn open_adapter(adapter: &wgpu::Adapter, adapters: Adapters) -> Result<Context> {
+fn open_adapter(adapter: &wgpu::Adapter, adapters: AdapterKinds) -> Result<Context> {
     let info = adapter.get_info();
     let refuse = |why: String| Error::NoGpu { reason: format!("{}: {why}", describe(&info)) };
-    if adapters == Adapters::Hardware && info.device_type == DeviceType::Cpu {
+    if adapters == AdapterKinds::Hardware && info.device_type == DeviceType::Cpu {
         let reason = format!("{} ({:?}) is a software renderer", info.name, info.backend);
         return Err(Error::NoGpu { reason });
     }
@@ -140,14 +140,14 @@ fn open_adapter(adapter: &wgpu::Adapter, adapters: Adapters) -> Result<Context> 
     check_limits(&adapter.limits()).map_err(|error| refuse(error.to_string()))?;
     let descriptor = wgpu::DeviceDescriptor {
         label: Some("ropewalk"),
-        required_features: wanted_features(adapter),
+        required_features: optional_features(adapter),
         required_limits: required_limits(adapter),
         ..Default::default()
     };
     let (device, queue) =
         pollster::block_on(adapter.request_device(&descriptor)).map_err(|error| refuse(error.to_string()))?;
     let context = Context::new(device, queue);
-    context.watch();
+    context.install_error_callbacks();
     probe::check_loops(&context)?;
     Ok(context)
 }

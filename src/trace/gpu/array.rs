@@ -18,7 +18,7 @@ const SMALL_RANGE: usize = 16 << 10;
 const SMALL_GAP: usize = 256;
 
 /// A buffer is made smaller when its array needs less than one part in this many.
-const SHRINK: u64 = 4;
+const SHRINK_FACTOR: u64 = 4;
 
 /// A buffer, which may have room for more.
 #[derive(Debug)]
@@ -41,7 +41,7 @@ pub(super) struct Contents<'a> {
 }
 
 /// What was done.
-pub(super) struct Copied {
+pub(super) struct UploadOutcome {
     pub(super) bytes: u64,
     pub(super) same_buffer: bool,
 }
@@ -52,7 +52,7 @@ impl ArrayBuffer {
     }
 
     /// Copies what changed, into a larger or smaller buffer where needed, or all of it where there was nothing.
-    pub(super) fn upload(context: &Context, contents: &Contents<'_>, slot: &mut Option<Self>) -> Result<Copied> {
+    pub(super) fn upload(context: &Context, contents: &Contents<'_>, slot: &mut Option<Self>) -> Result<UploadOutcome> {
         let &Contents { what, bytes, dirty, placeholder, limit } = contents;
         let used = bytes.len() as u64;
         let make = |size| {
@@ -65,10 +65,10 @@ impl ArrayBuffer {
             let buffer = make(contents.len() as u64);
             write(context, &buffer, contents, 0..contents.len());
             *slot = Some(Self { buffer, used });
-            return Ok(Copied { bytes: used, same_buffer: false });
+            return Ok(UploadOutcome { bytes: used, same_buffer: false });
         };
         let size = old.buffer.size();
-        let same_buffer = bytes.is_empty() || (used <= size && used >= size / SHRINK);
+        let same_buffer = bytes.is_empty() || (used <= size && used >= size / SHRINK_FACTOR);
         let buffer = if same_buffer {
             old.buffer
         } else {
@@ -85,7 +85,7 @@ impl ArrayBuffer {
         }
         scatter(context, &buffer, bytes, &small)?;
         *slot = Some(Self { buffer, used });
-        Ok(Copied { bytes: dirty.iter().map(|range| range.len() as u64).sum(), same_buffer })
+        Ok(UploadOutcome { bytes: dirty.iter().map(|range| range.len() as u64).sum(), same_buffer })
     }
 }
 

@@ -6,11 +6,11 @@ use wgpu::util::DeviceExt as _;
 
 use super::context::Context;
 use super::scene::{largest_buffer, storage_entry};
-use crate::device::layout::{Hit, Ray, RayBatch};
+use crate::device::layout::{HitRecord, RayBatch, RayRecord};
 use crate::{Error, Result};
 
 /// What fails if this does.
-pub(super) const DURING: &str = "tracing rays";
+pub(super) const OPERATION: &str = "tracing rays";
 
 /// Rays traced by one dispatch: a small part of a second's work for any GPU, since drivers end longer ones.
 const RAYS_PER_DISPATCH: usize = 1 << 18;
@@ -19,7 +19,7 @@ const RAYS_PER_DISPATCH: usize = 1 << 18;
 const WORKGROUP_RAYS: u32 = 64;
 
 /// The most workgroups of a dispatch.
-pub(super) const MOST_WORKGROUPS: u32 = RAYS_PER_DISPATCH as u32 / WORKGROUP_RAYS;
+pub(super) const MAX_WORKGROUPS: u32 = RAYS_PER_DISPATCH as u32 / WORKGROUP_RAYS;
 
 /// Where the rays of a batch are bound: group 1 of the entry points `closest_hits` and `any_hits`.
 pub(super) fn layout(context: &Context) -> wgpu::BindGroupLayout {
@@ -43,13 +43,13 @@ pub(super) fn layout(context: &Context) -> wgpu::BindGroupLayout {
 }
 
 /// The most rays of one dispatch: rays and hits are of one size.
-fn most_rays(context: &Context) -> usize {
-    (largest_buffer(&context.limits) as usize / size_of::<Ray>()).clamp(1, RAYS_PER_DISPATCH)
+fn max_rays_per_dispatch(context: &Context) -> usize {
+    (largest_buffer(&context.limits) as usize / size_of::<RayRecord>()).clamp(1, RAYS_PER_DISPATCH)
 }
 
 /// The buffers of a batch, as large as the largest yet.
 #[derive(Debug)]
-pub(super) struct Batch {
+pub(super) struct BatchBuffers {
     /// Rays that there is room for.
     capacity: usize,
     params: wgpu::Buffer,
@@ -59,23 +59,23 @@ pub(super) struct Batch {
     bind_group: wgpu::BindGroup,
 }
 
-impl Batch {
+impl BatchBuffers {
     /// Room for `rays` rays, or for as many as one dispatch traces and a buffer holds.
     pub(super) fn new(context: &Context, layout: &wgpu::BindGroupLayout, rays: usize) -> Self {
-        let capacity = rays.next_power_of_two().min(most_rays(context));
+        let capacity = rays.next_power_of_two().min(max_rays_per_dispatch(context));
         let buffer = |label, stride, usage| context.buffer(label, (capacity * stride) as u64, usage);
         let params =
             context.buffer("batch", size_of::<RayBatch>() as u64, BufferUsages::UNIFORM | BufferUsages::COPY_DST);
-        let rays = buffer("rays", size_of::<Ray>(), BufferUsages::STORAGE | BufferUsages::COPY_DST);
-        let answers = buffer("answers", size_of::<Hit>(), BufferUsages::STORAGE | BufferUsages::COPY_SRC);
-        let staging = context.staging((capacity * size_of::<Hit>()) as u64);
+        let rays = buffer("rays", size_of::<RayRecord>(), BufferUsages::STORAGE | BufferUsages::COPY_DST);
+        let answers = buffer("answers", size_of::<HitRecord>(), BufferUsages::STORAGE | BufferUsages::COPY_SRC);
+        let staging = context.staging((capacity * size_of::<HitRecord>()) as u64);
         let bind_group = bind(context, layout, &params, [rays.as_entire_binding(), answers.as_entire_binding()]);
         Self { capacity, params, rays, answers, staging, bind_group }
     }
 
     /// Whether a batch of that many rays goes through without waiting more often than it must.
-    pub(super) fn serves(&self, context: &Context, rays: usize) -> bool {
-        rays.min(most_rays(context)) <= self.capacity
+    pub(super) fn can_hold(&self, context: &Context, rays: usize) -> bool {
+        rays.min(max_rays_per_dispatch(context)) <= self.capacity
     }
 
     /// Bytes of GPU memory that the buffers take.
@@ -89,7 +89,7 @@ impl Batch {
         context: &Context,
         pipeline: &wgpu::ComputePipeline,
         scene: &wgpu::BindGroup,
-        rays: &[Ray],
+        rays: &[RayRecord],
         ray_mask: u32,
     ) -> Result<Vec<T>> {
         let mut answers = Vec::with_capacity(rays.len());
@@ -99,11 +99,11 @@ impl Batch {
             context.queue.write_buffer(&self.params, 0, bytemuck::bytes_of(&params));
             context.queue.write_buffer(&self.rays, 0, bytemuck::cast_slice(rays));
             let bytes = size_of::<T>() as u64 * u64::from(count);
-            context.submit(DURING, |encoder| {
+            context.submit(OPERATION, |encoder| {
                 dispatch(encoder, pipeline, scene, &self.bind_group, [(0, count)]);
                 encoder.copy_buffer_to_buffer(&self.answers, 0, &self.staging, 0, bytes);
             })?;
-            context.read(DURING, &self.staging, bytes, |bytes| {
+            context.read(OPERATION, &self.staging, bytes, |bytes| {
                 answers.extend(bytes.chunks_exact(size_of::<T>()).map(bytemuck::pod_read_unaligned::<T>));
             })?;
         }
@@ -114,10 +114,10 @@ impl Batch {
 /// Rays and their answers in buffers of the application's, on the device that traces.
 #[derive(Clone, Copy, Debug)]
 pub struct RayBuffers<'a> {
-    /// [`Ray`]s, relative to the [render origin](crate::Renderer::origin), one after the other. A storage buffer.
+    /// [`RayRecord`]s, relative to the [render origin](crate::Renderer::render_origin), one after the other. A storage buffer.
     pub rays: &'a wgpu::Buffer,
-    /// Where the answers are written, one after the other: a [`Hit`] for each ray, or a `u32`. A storage buffer.
-    pub answers: &'a wgpu::Buffer,
+    /// Where the answers are written, one after the other: a [`HitRecord`] for each ray, or a `u32`. A storage buffer.
+    pub results: &'a wgpu::Buffer,
     /// How many rays there are.
     pub count: u32,
     /// Instances whose mask shares no bit with this are not hit.
@@ -129,8 +129,8 @@ impl RayBuffers<'_> {
     pub(super) fn check(&self, limits: &wgpu::Limits, answer_size: usize) -> Result<()> {
         let limit = largest_buffer(limits);
         for (what, buffer, stride) in [
-            ("the buffer of rays (bytes)", self.rays, size_of::<Ray>()),
-            ("the buffer of answers (bytes)", self.answers, answer_size),
+            ("the buffer of rays (bytes)", self.rays, size_of::<RayRecord>()),
+            ("the buffer of answers (bytes)", self.results, answer_size),
         ] {
             let needed = u64::from(self.count) * stride as u64;
             if needed > limit {
@@ -185,7 +185,7 @@ impl RayBuffers<'_> {
             let size = wgpu::BufferSize::new(u64::from(self.count) * stride as u64);
             wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer, offset: 0, size })
         };
-        let bound = [whole(self.rays, size_of::<Ray>()), whole(self.answers, answer_size)];
+        let bound = [whole(self.rays, size_of::<RayRecord>()), whole(self.results, answer_size)];
         let bind_group = bind(context, layout, &params, bound);
         dispatch(encoder, pipeline, scene, &bind_group, dispatches);
     }

@@ -19,26 +19,26 @@ pub(super) struct Context {
     pub(super) info: DeviceInfo,
     pub(super) limits: wgpu::Limits,
     /// How the device was lost, if it was: nothing works from then on.
-    loss: Arc<OnceLock<String>>,
+    lost_reason: Arc<OnceLock<String>>,
     /// The first thing that the driver said outside any call of ours and that no call has reported yet.
-    complaint: Arc<Mutex<Option<wgpu::Error>>>,
+    uncaptured_error: Arc<Mutex<Option<wgpu::Error>>>,
 }
 
 impl Context {
     pub(super) fn new(device: wgpu::Device, queue: wgpu::Queue) -> Self {
         let info = DeviceInfo { executor: "gpu", name: describe(&device.adapter_info()) };
         let limits = device.limits();
-        Self { device, queue, info, limits, loss: Arc::default(), complaint: Arc::default() }
+        Self { device, queue, info, limits, lost_reason: Arc::default(), uncaptured_error: Arc::default() }
     }
 
     /// Listens for errors that no scope catches and for the loss of the device. Each device has one listener: only for
     /// devices of our own, since an application may have set its own.
-    pub(super) fn watch(&self) {
-        let complaint = Arc::clone(&self.complaint);
+    pub(super) fn install_error_callbacks(&self) {
+        let complaint = Arc::clone(&self.uncaptured_error);
         self.device.on_uncaptured_error(Arc::new(move |error| {
             complaint.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
         }));
-        let loss = Arc::clone(&self.loss);
+        let loss = Arc::clone(&self.lost_reason);
         self.device.set_device_lost_callback(move |reason, words| {
             let _ = loss.set(one_line(&format!("{reason:?} {words}")));
         });
@@ -46,14 +46,14 @@ impl Context {
 
     /// Does `work` and returns what it returned, or what the driver said: of it, or, once, of something before that nobody
     /// heard.
-    pub(super) fn scoped<T>(&self, during: &'static str, work: impl FnOnce() -> Result<T>) -> Result<T> {
+    pub(super) fn with_error_scopes<T>(&self, during: &'static str, work: impl FnOnce() -> Result<T>) -> Result<T> {
         let [validation, memory, internal] = [ErrorFilter::Validation, ErrorFilter::OutOfMemory, ErrorFilter::Internal]
             .map(|filter| self.device.push_error_scope(filter));
         let outcome = work();
         let [internal, memory, validation] =
             [internal, memory, validation].map(|scope| pollster::block_on(scope.pop()));
-        let unheard = self.complaint.lock().unwrap_or_else(PoisonError::into_inner).take();
-        if let Some(message) = self.loss.get() {
+        let unheard = self.uncaptured_error.lock().unwrap_or_else(PoisonError::into_inner).take();
+        if let Some(message) = self.lost_reason.get() {
             return Err(Error::DeviceLost { during, message: message.clone() });
         }
         if matches!(outcome, Err(Error::DeviceLost { .. })) {

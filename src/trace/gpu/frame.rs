@@ -8,8 +8,8 @@ use super::timer::Timer;
 use crate::device::Needs;
 use crate::device::layout::FrameParams;
 use crate::trace::FrameRequest;
-use crate::trace::kernel::most_rays;
-use crate::trace::planes::{AovPlanes, Planes};
+use crate::trace::frame_buffer::{AovBuffers, FrameBuffer};
+use crate::trace::kernel::max_rays_per_pixel;
 use crate::{Error, Result};
 
 /// What fails if a frame cannot be traced.
@@ -77,13 +77,13 @@ pub(super) fn check_size([width, height]: [u32; 2], limits: &wgpu::Limits) -> Re
             return Err(Error::Limit { what, needed: needed.into(), limit: limit.into(), hint });
         }
     }
-    Planes::check_size(width, height)?;
+    FrameBuffer::check_size(width, height)?;
     Ok(())
 }
 
 /// The outputs of a frame of one size.
 #[derive(Debug)]
-pub(super) struct Frame {
+pub(super) struct FrameTextures {
     width: u32,
     height: u32,
     aovs: bool,
@@ -104,7 +104,7 @@ struct Band {
     workgroups: [u32; 2],
 }
 
-impl Frame {
+impl FrameTextures {
     /// Textures of that size, neither of which is 0; of one pixel for AOVs that are not wanted.
     pub(super) fn new(
         context: &Context,
@@ -189,7 +189,7 @@ impl Frame {
 
     /// Writes the parameters of each dispatch: first those of one that traces nothing, then those of the bands.
     fn write_params(&self, context: &Context, request: &FrameRequest) -> Vec<Band> {
-        let rows = band_rows(self.width, rays_of_pixel(request));
+        let rows = band_rows(self.width, max_rays_of_pixel(request));
         let mut bytes = Vec::new();
         let mut add = |first_row| {
             let offset = bytes.len();
@@ -211,16 +211,16 @@ impl Frame {
     }
 
     /// Copies the frame from the GPU.
-    pub(super) fn read(&self, context: &Context) -> Result<Planes> {
+    pub(super) fn read(&self, context: &Context) -> Result<FrameBuffer> {
         let color = self.read_texture(context, &self.color)?;
         let aovs = match self.aovs {
-            true => Some(AovPlanes {
+            true => Some(AovBuffers {
                 normal_depth: self.read_texture(context, &self.normal_depth)?,
                 ids: self.read_texture(context, &self.ids)?,
             }),
             false => None,
         };
-        Ok(Planes { width: self.width, height: self.height, color, aovs })
+        Ok(FrameBuffer { width: self.width, height: self.height, color, aovs })
     }
 
     /// A texture's pixels, row by row. The GPU pads each row, and a large image is read in parts.
@@ -229,7 +229,7 @@ impl Frame {
         let padded = row.next_multiple_of(u64::from(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT));
         let rows = (READ_BYTES.min(context.limits.max_buffer_size) / padded).clamp(1, u64::from(self.height)) as u32;
         let mut pixels = Vec::with_capacity(self.width as usize * self.height as usize);
-        context.scoped(READING, || {
+        context.with_error_scopes(READING, || {
             let staging = context.staging(padded * u64::from(rows));
             for y in (0..self.height).step_by(rows as usize) {
                 let rows = rows.min(self.height - y);
@@ -288,9 +288,9 @@ fn copy_rows(
 }
 
 /// The most rays that a pixel may need: those of its paths, and for each a shadow ray to every light.
-fn rays_of_pixel(request: &FrameRequest) -> u64 {
+fn max_rays_of_pixel(request: &FrameRequest) -> u64 {
     let lights = if request.needs.contains(Needs::LIGHTS) { request.params.light_count } else { 0 };
-    u64::from(most_rays(request.params.max_depth, request.needs)) * (1 + u64::from(lights))
+    u64::from(max_rays_per_pixel(request.params.max_depth, request.needs)) * (1 + u64::from(lights))
 }
 
 /// Rows that one dispatch traces: whole workgroups, and at least one even where that exceeds the budget, as it does for
@@ -314,7 +314,7 @@ mod tests {
 
     fn rays(needs: Needs, max_depth: u32, light_count: u32) -> u64 {
         let params = FrameParams { max_depth, light_count, ..FrameParams::zeroed() };
-        rays_of_pixel(&FrameRequest { params, needs, aovs: false })
+        max_rays_of_pixel(&FrameRequest { params, needs, aovs: false })
     }
 
     #[test]

@@ -11,6 +11,6 @@ mod scene;
 mod timer;
 mod tracer;
 
-pub use adapter::{Adapters, GpuOptions, required_limits, wanted_features};
+pub use adapter::{AdapterKinds, GpuOptions, optional_features, required_limits};
 pub use batch::RayBuffers;
 pub use tracer::GpuTracer;

@@ -4,12 +4,12 @@ use std::collections::HashMap;
 
 use super::context::Context;
 use crate::Result;
-use crate::trace::shader::{EntryPoint, Variant};
+use crate::trace::shader::{EntryPoint, KernelVariant};
 
 /// The pipelines made so far.
 #[derive(Debug)]
 pub(super) struct Pipelines {
-    made: HashMap<(EntryPoint, Variant), wgpu::ComputePipeline>,
+    pipelines: HashMap<(EntryPoint, KernelVariant), wgpu::ComputePipeline>,
     frame: wgpu::BindGroupLayout,
     batch: wgpu::BindGroupLayout,
 }
@@ -17,7 +17,7 @@ pub(super) struct Pipelines {
 impl Pipelines {
     /// `frame` and `batch` are group 1 of the entry points that write images and of those that answer rays.
     pub(super) fn new(frame: wgpu::BindGroupLayout, batch: wgpu::BindGroupLayout) -> Self {
-        Self { made: HashMap::new(), frame, batch }
+        Self { pipelines: HashMap::new(), frame, batch }
     }
 
     /// Where the images of a frame are bound.
@@ -32,7 +32,7 @@ impl Pipelines {
 
     /// How many there are.
     pub(super) fn len(&self) -> usize {
-        self.made.len()
+        self.pipelines.len()
     }
 
     /// The pipeline, and whether it is new: drivers compile a shader when it is first dispatched. `scene` is the layout of
@@ -42,18 +42,19 @@ impl Pipelines {
         context: &Context,
         scene: &wgpu::BindGroupLayout,
         entry_point: EntryPoint,
-        variant: Variant,
+        variant: KernelVariant,
     ) -> Result<(wgpu::ComputePipeline, bool)> {
-        if let Some(pipeline) = self.made.get(&(entry_point, variant)) {
+        if let Some(pipeline) = self.pipelines.get(&(entry_point, variant)) {
             return Ok((pipeline.clone(), false));
         }
         let own = match entry_point {
             EntryPoint::Render | EntryPoint::RenderAovs => &self.frame,
             EntryPoint::ClosestHits | EntryPoint::AnyHits => &self.batch,
         };
-        let pipeline = context
-            .scoped("compiling the kernel", || Ok(compile(context, [Some(scene), Some(own)], entry_point, variant)))?;
-        self.made.insert((entry_point, variant), pipeline.clone());
+        let pipeline = context.with_error_scopes("compiling the kernel", || {
+            Ok(compile(context, [Some(scene), Some(own)], entry_point, variant))
+        })?;
+        self.pipelines.insert((entry_point, variant), pipeline.clone());
         Ok((pipeline, true))
     }
 }
@@ -62,7 +63,7 @@ fn compile(
     context: &Context,
     groups: [Option<&wgpu::BindGroupLayout>; 2],
     entry_point: EntryPoint,
-    variant: Variant,
+    variant: KernelVariant,
 ) -> wgpu::ComputePipeline {
     let name = entry_point.name();
     let module = context.device.create_shader_module(wgpu::ShaderModuleDescriptor {

@@ -10,7 +10,7 @@ use crate::{Error, Result};
 /// How often an invocation goes round its loops: `outer * inner` nested turns, then `after`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
-struct Turns {
+struct LoopCounts {
     outer: u32,
     inner: u32,
     after: u32,
@@ -21,23 +21,23 @@ struct Turns {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 struct Outcome {
-    turns: u32,
+    iterations: u32,
     value: u32,
 }
 
 /// One loop, nested loops, loops in sequence: each beyond 65,535 turns in all, none but the first in one loop.
-const PLAN: [Turns; 3] = [
-    Turns { outer: 1, inner: 100_000, after: 0, _pad: 0 },
-    Turns { outer: 300, inner: 300, after: 0, _pad: 0 },
-    Turns { outer: 1, inner: 50_000, after: 50_000, _pad: 0 },
+const PLAN: [LoopCounts; 3] = [
+    LoopCounts { outer: 1, inner: 100_000, after: 0, _pad: 0 },
+    LoopCounts { outer: 300, inner: 300, after: 0, _pad: 0 },
+    LoopCounts { outer: 1, inner: 50_000, after: 50_000, _pad: 0 },
 ];
 
 const DURING: &str = "the start-up probe";
 
 /// Refuses a device that ends loops early. A few milliseconds.
 pub(super) fn check_loops(context: &Context) -> Result<()> {
-    let outcomes = context.scoped(DURING, || run(context))?;
-    verdict(&outcomes).map_err(|why| Error::NoGpu { reason: format!("{}: {why}", context.info.name) })
+    let outcomes = context.with_error_scopes(DURING, || run(context))?;
+    check_outcomes(&outcomes).map_err(|why| Error::NoGpu { reason: format!("{}: {why}", context.info.name) })
 }
 
 fn run(context: &Context) -> Result<Vec<Outcome>> {
@@ -82,14 +82,14 @@ fn run(context: &Context) -> Result<Vec<Outcome>> {
 }
 
 /// What is wrong with the driver that gave `outcomes`.
-fn verdict(outcomes: &[Outcome]) -> Result<(), String> {
+fn check_outcomes(outcomes: &[Outcome]) -> Result<(), String> {
     let expected: Vec<Outcome> =
-        PLAN.iter().enumerate().map(|(i, turns)| go_round(*turns, i as u32, u32::MAX)).collect();
-    match expected.iter().zip(outcomes).find(|(expected, outcome)| outcome.turns < expected.turns) {
+        PLAN.iter().enumerate().map(|(i, turns)| run_loops(*turns, i as u32, u32::MAX)).collect();
+    match expected.iter().zip(outcomes).find(|(expected, outcome)| outcome.iterations < expected.iterations) {
         Some((expected, outcome)) => Err(format!(
             "the driver ends shader loops after {} of {} turns without an error, so images would be wrong; upgrade it \
              (Mesa 22.3 does this, 25.0 does not)",
-            outcome.turns, expected.turns
+            outcome.iterations, expected.iterations
         )),
         None if expected != outcomes => {
             Err("the driver computes wrong integers in long shader loops; upgrade it".into())
@@ -99,10 +99,10 @@ fn verdict(outcomes: &[Outcome]) -> Result<(), String> {
 }
 
 /// What invocation `index` leaves on a driver that ends its loops after `cap` turns in all.
-fn go_round(planned: Turns, index: u32, cap: u32) -> Outcome {
+fn run_loops(planned: LoopCounts, index: u32, cap: u32) -> Outcome {
     let turns = (planned.outer * planned.inner + planned.after).min(cap);
     let value = (0..turns).fold(index, |value, _| value.wrapping_mul(1_664_525).wrapping_add(1_013_904_223));
-    Outcome { turns, value }
+    Outcome { iterations: turns, value }
 }
 
 #[cfg(test)]
@@ -110,17 +110,17 @@ mod tests {
     use super::*;
 
     fn outcomes(cap: u32) -> Vec<Outcome> {
-        PLAN.iter().enumerate().map(|(i, turns)| go_round(*turns, i as u32, cap)).collect()
+        PLAN.iter().enumerate().map(|(i, turns)| run_loops(*turns, i as u32, cap)).collect()
     }
 
     #[test]
     fn loops_that_end_as_written_pass() {
-        assert_eq!(verdict(&outcomes(u32::MAX)), Ok(()));
+        assert_eq!(check_outcomes(&outcomes(u32::MAX)), Ok(()));
     }
 
     #[test]
     fn loops_cut_short_are_refused_with_the_reason() {
-        let reason = verdict(&outcomes(65_535)).unwrap_err();
+        let reason = check_outcomes(&outcomes(65_535)).unwrap_err();
         assert!(reason.contains("after 65535 of 100000 turns") && reason.contains("upgrade"), "{reason}");
     }
 
@@ -128,8 +128,8 @@ mod tests {
     fn each_kind_of_loop_is_refused_on_its_own() {
         for capped in 0..PLAN.len() {
             let mut outcomes = outcomes(u32::MAX);
-            outcomes[capped] = go_round(PLAN[capped], capped as u32, 65_535);
-            assert!(verdict(&outcomes).is_err(), "{:?}", PLAN[capped]);
+            outcomes[capped] = run_loops(PLAN[capped], capped as u32, 65_535);
+            assert!(check_outcomes(&outcomes).is_err(), "{:?}", PLAN[capped]);
         }
     }
 
@@ -137,7 +137,7 @@ mod tests {
     fn wrong_values_are_refused() {
         let mut outcomes = outcomes(u32::MAX);
         outcomes[1].value ^= 1;
-        assert!(verdict(&outcomes).is_err());
-        assert!(verdict(&[]).is_err());
+        assert!(check_outcomes(&outcomes).is_err());
+        assert!(check_outcomes(&[]).is_err());
     }
 }

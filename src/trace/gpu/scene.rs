@@ -4,12 +4,12 @@ use std::ops::Range;
 
 use bytemuck::Pod;
 
-use super::array::{ArrayBuffer, Contents, Copied};
+use super::array::{ArrayBuffer, Contents, UploadOutcome};
 use super::context::Context;
 use crate::device::Needs;
 use crate::device::{DeviceArrays, DeviceBuffer};
-use crate::trace::Layout;
-use crate::trace::shader::{ARRAY_COUNT, Include, Split, Splits, Variant};
+use crate::trace::Traversal;
+use crate::trace::shader::{ARRAY_COUNT, ArraySplit, ArraySplits, Include, KernelVariant};
 use crate::{Error, Result};
 
 /// What fails if an upload does.
@@ -19,30 +19,30 @@ pub(super) const DURING: &str = "the upload of the scene";
 pub(super) const STORAGE_BUFFERS: u32 = ARRAY_COUNT + 2;
 
 /// The array that depends on the layout.
-const NODES: usize = 2;
+const BLAS_BINDING: usize = 2;
 
 /// Uniform buffers that it reads.
-const OTHER_BUFFERS: u32 = 1;
+const UNIFORM_BUFFERS: u32 = 1;
 
 /// The buffers of the scene's arrays, in the order of their bindings, and the bind group of them all.
 #[derive(Debug)]
 pub(super) struct SceneBuffers {
-    wanted: Layout,
-    walked: Layout,
+    requested_traversal: Traversal,
+    bound_traversal: Traversal,
     /// Of each array its parts: one, unless it is split.
     arrays: [Vec<Option<ArrayBuffer>>; ARRAY_COUNT as usize],
-    splits: Splits,
+    splits: ArraySplits,
     layout: wgpu::BindGroupLayout,
     bind_group: Option<wgpu::BindGroup>,
     bind_groups_made: u64,
 }
 
 impl SceneBuffers {
-    pub(super) fn new(context: &Context, wanted: Layout) -> Self {
-        let splits = Splits::default();
+    pub(super) fn new(context: &Context, wanted: Traversal) -> Self {
+        let splits = ArraySplits::default();
         Self {
-            wanted,
-            walked: wanted,
+            requested_traversal: wanted,
+            bound_traversal: wanted,
             arrays: Default::default(),
             splits,
             layout: layout(context, all_bindings(splits)),
@@ -52,8 +52,8 @@ impl SceneBuffers {
     }
 
     /// The kernel that reads the arrays as they are bound.
-    pub(super) fn variant(&self, needs: Needs) -> Variant {
-        Variant { needs, layout: self.walked, splits: self.splits }
+    pub(super) fn variant(&self, needs: Needs) -> KernelVariant {
+        KernelVariant { needs, traversal: self.bound_traversal, splits: self.splits }
     }
 
     pub(super) fn layout(&self) -> &wgpu::BindGroupLayout {
@@ -85,7 +85,8 @@ impl SceneBuffers {
             return Err(Error::Gpu { during: "binding the scene", message });
         }
         let layout = Self::include_layout(context, include);
-        context.scoped("binding the scene", || Ok(self.bind(context, &layout, include.bindings().into_iter())))
+        context
+            .with_error_scopes("binding the scene", || Ok(self.bind(context, &layout, include.bindings().into_iter())))
     }
 
     /// Binds the arrays that have these numbers: each array's first part, then the other parts.
@@ -105,7 +106,7 @@ impl SceneBuffers {
     }
 
     /// How often a buffer came or went, so that all had to be bound anew.
-    pub(super) fn bind_groups_made(&self) -> u64 {
+    pub(super) fn bind_group_rebuilds(&self) -> u64 {
         self.bind_groups_made
     }
 
@@ -117,13 +118,13 @@ impl SceneBuffers {
     /// Copies what changed and returns how many bytes did. Fails before anything is written if an array is too large for
     /// this device; after any other failure the next call copies everything.
     pub(super) fn upload(&mut self, context: &Context, arrays: &mut DeviceArrays) -> Result<u64> {
-        let walked = self.wanted.of(arrays);
+        let walked = self.requested_traversal.supported_by(arrays);
         let mut sources = sources(arrays, walked);
-        let splits = plan(&sources, &context.limits)?;
-        let outcome = context.scoped(DURING, || {
-            if walked != self.walked {
-                self.walked = walked;
-                self.arrays[NODES].clear();
+        let splits = plan_splits(&sources, &context.limits)?;
+        let outcome = context.with_error_scopes(DURING, || {
+            if walked != self.bound_traversal {
+                self.bound_traversal = walked;
+                self.arrays[BLAS_BINDING].clear();
             }
             if splits != self.splits {
                 self.layout = layout(context, all_bindings(splits));
@@ -133,7 +134,7 @@ impl SceneBuffers {
             let mut bytes = 0;
             let mut same = self.bind_group.is_some();
             for (source, parts) in sources.iter_mut().zip(&mut self.arrays) {
-                let split = source.split.map_or(Split::WHOLE, |split| *split(&mut self.splits));
+                let split = source.split.map_or(ArraySplit::WHOLE, |split| *split(&mut self.splits));
                 let copied = upload_array(context, source, split, parts)?;
                 bytes += copied.bytes;
                 same &= copied.same_buffer;
@@ -148,7 +149,7 @@ impl SceneBuffers {
             Ok(bytes)
         });
         if outcome.is_err() {
-            *self = Self { bind_groups_made: self.bind_groups_made, ..Self::new(context, self.wanted) };
+            *self = Self { bind_groups_made: self.bind_groups_made, ..Self::new(context, self.requested_traversal) };
         }
         outcome
     }
@@ -180,17 +181,18 @@ fn layout(context: &Context, bindings: impl Iterator<Item = u32>) -> wgpu::BindG
     context.device.create_bind_group_layout(&descriptor)
 }
 
-fn all_bindings(splits: Splits) -> std::ops::Range<u32> {
-    0..ARRAY_COUNT + splits.more_bindings()
+fn all_bindings(splits: ArraySplits) -> std::ops::Range<u32> {
+    0..ARRAY_COUNT + splits.extra_bindings()
 }
 
 /// How the arrays must be split to fit the device.
-fn plan(sources: &[Source<'_>], limits: &wgpu::Limits) -> Result<Splits> {
+fn plan_splits(sources: &[Source<'_>], limits: &wgpu::Limits) -> Result<ArraySplits> {
     let largest = largest_buffer(limits);
     let most = limits.max_storage_buffers_per_shader_stage;
-    let most = most.min(limits.max_buffers_and_acceleration_structures_per_shader_stage.saturating_sub(OTHER_BUFFERS));
+    let most =
+        most.min(limits.max_buffers_and_acceleration_structures_per_shader_stage.saturating_sub(UNIFORM_BUFFERS));
     let mut spare = u64::from(most.saturating_sub(STORAGE_BUFFERS));
-    let mut splits = Splits::default();
+    let mut splits = ArraySplits::default();
     for source in sources {
         let (needed, stride) = (source.array.bytes().len() as u64, source.placeholder.len() as u64);
         let fits = |limit| {
@@ -201,7 +203,7 @@ fn plan(sources: &[Source<'_>], limits: &wgpu::Limits) -> Result<Splits> {
             fits(largest)?;
             continue;
         };
-        let found = Split::new(needed / stride, largest / stride);
+        let found = ArraySplit::new(needed / stride, largest / stride);
         if let Some(part_len) = found.part_len() {
             fits(largest.max((1 + spare) * part_len * stride))?;
         }
@@ -215,9 +217,9 @@ fn plan(sources: &[Source<'_>], limits: &wgpu::Limits) -> Result<Splits> {
 fn upload_array(
     context: &Context,
     source: &mut Source<'_>,
-    split: Split,
+    split: ArraySplit,
     parts: &mut Vec<Option<ArrayBuffer>>,
-) -> Result<Copied> {
+) -> Result<UploadOutcome> {
     let dirty = source.array.take_dirty();
     let bytes = source.array.bytes();
     if parts.len() != split.parts() as usize {
@@ -225,7 +227,7 @@ fn upload_array(
     }
     let largest = largest_buffer(&context.limits);
     let part_size = split.part_len().map_or(largest, |len| len * source.placeholder.len() as u64) as usize;
-    let mut all = Copied { bytes: 0, same_buffer: true };
+    let mut all = UploadOutcome { bytes: 0, same_buffer: true };
     for (part, slot) in parts.iter_mut().enumerate() {
         let start = part * part_size;
         let end = bytes.len().min(start.saturating_add(part_size));
@@ -239,7 +241,7 @@ fn upload_array(
             limit: part_size as u64,
         };
         let copied = ArrayBuffer::upload(context, &contents, slot)?;
-        all = Copied { bytes: all.bytes + copied.bytes, same_buffer: all.same_buffer && copied.same_buffer };
+        all = UploadOutcome { bytes: all.bytes + copied.bytes, same_buffer: all.same_buffer && copied.same_buffer };
     }
     Ok(all)
 }
@@ -249,7 +251,7 @@ struct Source<'a> {
     what: &'static str,
     array: &'a mut dyn Array,
     /// How it is split, of an array that can be.
-    split: Option<fn(&mut Splits) -> &mut Split>,
+    split: Option<fn(&mut ArraySplits) -> &mut ArraySplit>,
     /// A zero element: what the buffer of an empty array holds, since no buffer can be empty.
     placeholder: &'static [u8],
 }
@@ -274,14 +276,14 @@ impl<T: Pod + PartialEq> Array for DeviceBuffer<T> {
 }
 
 /// All arrays in the order of their bindings in `shaders/shared/types.wgsl`.
-fn sources(arrays: &mut DeviceArrays, layout: Layout) -> [Source<'_>; ARRAY_COUNT as usize] {
+fn sources(arrays: &mut DeviceArrays, layout: Traversal) -> [Source<'_>; ARRAY_COUNT as usize] {
     // What is not walked is not copied, and needs no list of what changed.
     let nodes = match layout {
-        Layout::Rope => {
+        Traversal::Rope => {
             arrays.wide_nodes.take_dirty();
             source("blas_nodes (bytes)", &mut arrays.blas_nodes)
         }
-        Layout::Wide => {
+        Traversal::Wide => {
             arrays.blas_nodes.take_dirty();
             source("wide_nodes (bytes)", &mut arrays.wide_nodes)
         }
@@ -318,8 +320,9 @@ mod tests {
     /// The arrays are bound by position: each must stand where the shader declares it.
     #[test]
     fn arrays_are_in_the_order_of_the_shader() {
-        for layout in [Layout::Rope, Layout::Wide] {
-            let source = EntryPoint::ClosestHits.source(Variant { layout, ..Variant::default() });
+        for layout in [Traversal::Rope, Traversal::Wide] {
+            let source =
+                EntryPoint::ClosestHits.source(KernelVariant { traversal: layout, ..KernelVariant::default() });
             let module = naga::front::wgsl::parse_str(&source).unwrap();
             let mut arrays = DeviceArrays::default();
             let sources = sources(&mut arrays, layout);

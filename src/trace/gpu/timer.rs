@@ -53,8 +53,9 @@ impl Timer {
 
     /// Waits for the frame and returns its time.
     pub(super) fn read(&self, context: &Context) -> Result<Duration> {
-        let [began, ended] = context
-            .scoped(DURING, || context.read(DURING, &self.staging, BYTES, bytemuck::pod_read_unaligned::<[u64; 2]>))?;
+        let [began, ended] = context.with_error_scopes(DURING, || {
+            context.read(DURING, &self.staging, BYTES, bytemuck::pod_read_unaligned::<[u64; 2]>)
+        })?;
         let ticks = ended.saturating_sub(began);
         Ok(Duration::from_nanos((ticks as f64 * f64::from(self.nanoseconds_per_tick)) as u64))
     }

@@ -5,20 +5,20 @@ use std::time::Duration;
 use bytemuck::Pod;
 
 use super::adapter::{self, GpuOptions};
-use super::batch::{self, Batch, RayBuffers};
+use super::batch::{self, BatchBuffers, RayBuffers};
 use super::context::Context;
-use super::frame::{self, Frame};
+use super::frame::{self, FrameTextures};
 use super::pipelines::Pipelines;
 use super::probe;
 use super::scene::SceneBuffers;
 use super::timer::Timer;
 use crate::device::DeviceArrays;
 use crate::device::Needs;
-use crate::device::layout::{Hit, Ray};
+use crate::device::layout::{HitRecord, RayRecord};
 use crate::image::Image;
-use crate::trace::planes::Planes;
+use crate::trace::frame_buffer::FrameBuffer;
 use crate::trace::shader::{EntryPoint, Include};
-use crate::trace::{DeviceInfo, FrameRequest, Layout, Tracer};
+use crate::trace::{DeviceInfo, FrameRequest, Tracer, Traversal};
 use crate::{Error, Result};
 
 /// The kernel on a GPU.
@@ -32,16 +32,16 @@ pub struct GpuTracer {
     pipelines: Pipelines,
     timer: Option<Timer>,
     /// The last frame, where that has pixels and did not fail.
-    frame: Option<Frame>,
+    frame: Option<FrameTextures>,
     /// The last frame, where that has no pixels.
-    empty: Option<Planes>,
+    empty_frame: Option<FrameBuffer>,
     /// The last batch's buffers, where that did not fail.
-    batch: Option<Batch>,
+    batch: Option<BatchBuffers>,
 }
 
 impl GpuTracer {
     /// Takes the best adapter there is: a discrete GPU before an integrated, virtual or other one, then, if
-    /// [`Adapters::Any`](super::Adapters::Any), a software renderer. Tens of milliseconds.
+    /// [`AdapterKinds::IncludingSoftware`](super::AdapterKinds::IncludingSoftware), a software renderer. Tens of milliseconds.
     ///
     /// # Errors
     /// [`Error::NoGpu`] names each adapter and why it was not taken: it is software, lacks something, or its driver
@@ -53,7 +53,7 @@ impl GpuTracer {
     /// Shares the application's device, so that its windows can show frames where they are.
     ///
     /// Request the device with [`required_limits`](super::required_limits) and, to know the time spent tracing,
-    /// [`wanted_features`](super::wanted_features).
+    /// [`wanted_features`](super::optional_features).
     ///
     /// # Errors
     /// [`Error::Limit`] names the first limit of the device that is too low; [`Error::NoGpu`] says that its driver
@@ -67,9 +67,9 @@ impl GpuTracer {
 
     fn with_context(context: Context) -> Result<Self> {
         context
-            .scoped("preparing the kernel", || {
+            .with_error_scopes("preparing the kernel", || {
                 let pipelines = Pipelines::new(frame::layout(&context), batch::layout(&context));
-                Ok((SceneBuffers::new(&context, Layout::default()), pipelines, Timer::new(&context)))
+                Ok((SceneBuffers::new(&context, Traversal::default()), pipelines, Timer::new(&context)))
             })
             .map(|(scene, pipelines, timer)| Self {
                 context,
@@ -77,14 +77,14 @@ impl GpuTracer {
                 pipelines,
                 timer,
                 frame: None,
-                empty: Some(Planes::default()),
+                empty_frame: Some(FrameBuffer::default()),
                 batch: None,
             })
     }
 
     /// Walks the arrays in another way than by default: the hits are the same. Takes effect with the next upload, which copies all.
     #[must_use]
-    pub fn with_layout(mut self, layout: Layout) -> Self {
+    pub fn with_layout(mut self, layout: Traversal) -> Self {
         self.scene = SceneBuffers::new(&self.context, layout);
         self
     }
@@ -99,7 +99,7 @@ impl GpuTracer {
         &self.context.queue
     }
 
-    /// Records into `encoder` that the closest [`Hit`] of each ray is found: rays and hits stay on the GPU. The scene is that of
+    /// Records into `encoder` that the closest [`HitRecord`] of each ray is found: rays and hits stay on the GPU. The scene is that of
     /// the last upload; other passes of the encoder may write the rays and read the hits. A batch of very many rays may take
     /// longer than a driver lets one submission run (seconds): spread those over several.
     ///
@@ -107,7 +107,7 @@ impl GpuTracer {
     /// [`Error::Limit`] if the buffers are too small for their count or larger than a binding of the device;
     /// [`Error::OutOfRange`] if one is no storage buffer; [`Error::Gpu`] if no scene was uploaded.
     pub fn record_closest_hits(&mut self, encoder: &mut wgpu::CommandEncoder, rays: &RayBuffers<'_>) -> Result<()> {
-        self.record(EntryPoint::ClosestHits, size_of::<Hit>(), encoder, rays)
+        self.record(EntryPoint::ClosestHits, size_of::<HitRecord>(), encoder, rays)
     }
 
     /// As [`record_closest_hits`](Self::record_closest_hits), but each answer is a `u32`: 1 if anything lets no light through, else
@@ -140,14 +140,16 @@ impl GpuTracer {
     }
 
     /// Bytes of GPU memory held for the scene, the last frame and batches.
-    pub fn memory(&self) -> u64 {
-        self.scene.bytes() + self.frame.as_ref().map_or(0, Frame::bytes) + self.batch.as_ref().map_or(0, Batch::bytes)
+    pub fn memory_bytes(&self) -> u64 {
+        self.scene.bytes()
+            + self.frame.as_ref().map_or(0, FrameTextures::bytes)
+            + self.batch.as_ref().map_or(0, BatchBuffers::bytes)
     }
 
     /// How often the scene's buffers had to be bound anew because one of them was replaced.
     #[doc(hidden)]
     pub fn bind_groups_made(&self) -> u64 {
-        self.scene.bind_groups_made()
+        self.scene.bind_group_rebuilds()
     }
 
     /// How many pipelines were compiled, one for each entry point and set of needs.
@@ -171,13 +173,13 @@ impl GpuTracer {
         }
         let variant = scene.variant(BATCH_NEEDS);
         let (pipeline, _) = pipelines.pipeline(context, scene.layout(), entry_point, variant)?;
-        context.scoped(batch::DURING, || {
+        context.with_error_scopes(batch::OPERATION, || {
             rays.record(context, pipelines.batch_layout(), encoder, &pipeline, bound, answer_size);
             Ok(())
         })
     }
 
-    fn answers<T: Pod>(&mut self, entry_point: EntryPoint, rays: &[Ray], ray_mask: u32) -> Result<Vec<T>> {
+    fn answers<T: Pod>(&mut self, entry_point: EntryPoint, rays: &[RayRecord], ray_mask: u32) -> Result<Vec<T>> {
         let Self { context, scene, pipelines, batch, .. } = self;
         let bound = scene.bind_group()?;
         if rays.is_empty() {
@@ -185,9 +187,9 @@ impl GpuTracer {
         }
         let variant = scene.variant(BATCH_NEEDS);
         let (pipeline, _) = pipelines.pipeline(context, scene.layout(), entry_point, variant)?;
-        let last = batch.take().filter(|batch| batch.serves(context, rays.len()));
-        let (used, answers) = context.scoped(batch::DURING, || {
-            let batch = last.unwrap_or_else(|| Batch::new(context, pipelines.batch_layout(), rays.len()));
+        let last = batch.take().filter(|batch| batch.can_hold(context, rays.len()));
+        let (used, answers) = context.with_error_scopes(batch::OPERATION, || {
+            let batch = last.unwrap_or_else(|| BatchBuffers::new(context, pipelines.batch_layout(), rays.len()));
             let answers = batch.trace(context, &pipeline, bound, rays, ray_mask)?;
             Ok((batch, answers))
         })?;
@@ -215,16 +217,17 @@ impl Tracer for GpuTracer {
         frame::check_size(size, &context.limits)?;
         if size.contains(&0) {
             self.frame = None;
-            self.empty = Some(Planes::new(size[0], size[1], request.aovs)?);
+            self.empty_frame = Some(FrameBuffer::new(size[0], size[1], request.aovs)?);
             return Ok(());
         }
         let entry_point = if request.aovs { EntryPoint::RenderAovs } else { EntryPoint::Render };
         let variant = scene.variant(request.needs);
         let (pipeline, is_new) = pipelines.pipeline(context, scene.layout(), entry_point, variant)?;
-        self.empty = None;
+        self.empty_frame = None;
         let last = self.frame.take().filter(|frame| frame.serves(size, request.aovs));
-        let frame = context.scoped(frame::TRACING, || {
-            let frame = last.unwrap_or_else(|| Frame::new(context, pipelines.frame_layout(), size, request.aovs));
+        let frame = context.with_error_scopes(frame::TRACING, || {
+            let frame =
+                last.unwrap_or_else(|| FrameTextures::new(context, pipelines.frame_layout(), size, request.aovs));
             frame.trace(context, &pipeline, is_new, bound, timer.as_ref(), request)?;
             Ok(frame)
         })?;
@@ -245,11 +248,11 @@ impl Tracer for GpuTracer {
         self.timer.as_ref()?.read(&self.context).ok()
     }
 
-    fn read(&self) -> Result<Image> {
-        match (&self.frame, &self.empty) {
+    fn read_image(&self) -> Result<Image> {
+        match (&self.frame, &self.empty_frame) {
             (Some(frame), _) => Ok(frame.read(&self.context)?.into_image()),
             (None, Some(empty)) => Ok(empty.clone().into_image()),
-            (None, None) => self.context.scoped(frame::READING, || {
+            (None, None) => self.context.with_error_scopes(frame::READING, || {
                 // It may have failed because the device was lost, which this says.
                 self.context.submit(frame::READING, |_| {})?;
                 Err(Error::Gpu { during: frame::READING, message: "the last one failed".into() })
@@ -257,11 +260,11 @@ impl Tracer for GpuTracer {
         }
     }
 
-    fn closest_hits(&mut self, _: &DeviceArrays, rays: &[Ray], ray_mask: u32) -> Result<Vec<Hit>> {
+    fn closest_hits(&mut self, _: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> Result<Vec<HitRecord>> {
         self.answers(EntryPoint::ClosestHits, rays, ray_mask)
     }
 
-    fn any_hits(&mut self, _: &DeviceArrays, rays: &[Ray], ray_mask: u32) -> Result<Vec<bool>> {
+    fn any_hits(&mut self, _: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> Result<Vec<bool>> {
         let answers: Vec<u32> = self.answers(EntryPoint::AnyHits, rays, ray_mask)?;
         Ok(answers.into_iter().map(|answer| answer != 0).collect())
     }

@@ -5,19 +5,20 @@ use std::f32::consts::PI;
 
 use glam::{Vec3, Vec4Swizzles as _};
 
-use super::material::normal_reflectance;
+use super::material::f0_from_ior;
 use super::math::{dot3, max, mix3};
-use super::surface::{GRAZING, Surface, unit_or};
+use super::surface::{MIN_COSINE, Surface, normalize_or};
 use crate::device::MAX_MIRROR_ROUGHNESS;
 
 /// Roughness up to which a surface is a mirror. Above [`MAX_MIRROR_ROUGHNESS`] nothing is seen in it.
-pub(super) const MIRROR_ROUGHNESS: f32 = 0.1;
+pub(super) const SHARP_REFLECTION_ROUGHNESS: f32 = 0.1;
 /// Punctual lights have no size, and a polished surface would show none: they are seen in it as in this roughness.
-pub(super) const HIGHLIGHT_ROUGHNESS: f32 = 0.1;
+pub(super) const MIN_HIGHLIGHT_ROUGHNESS: f32 = 0.1;
 
 /// How much of a surface's reflection is traced, 1 for a mirror; the rest is blurred sky.
-pub(crate) fn sharpness(roughness: f32) -> f32 {
-    let x = ((MAX_MIRROR_ROUGHNESS - roughness) * (1.0 / (MAX_MIRROR_ROUGHNESS - MIRROR_ROUGHNESS))).clamp(0.0, 1.0);
+pub(crate) fn traced_reflection_share(roughness: f32) -> f32 {
+    let x = ((MAX_MIRROR_ROUGHNESS - roughness) * (1.0 / (MAX_MIRROR_ROUGHNESS - SHARP_REFLECTION_ROUGHNESS)))
+        .clamp(0.0, 1.0);
     (x * x) * (3.0 - 2.0 * x)
 }
 
@@ -48,35 +49,35 @@ fn schlick(cosine: f32) -> f32 {
 }
 
 /// How much of the rise of reflectance towards grazing angles is left on a rough surface: a fit to the microfacets' albedo.
-fn polish(roughness: f32) -> f32 {
+fn grazing_rise(roughness: f32) -> f32 {
     1.0 - roughness * (0.1 + 0.86 * roughness)
 }
 
 /// How a surface divides the light that comes along the line of view; with what it absorbs, the sum is 1.
-pub(crate) struct Shares {
+pub(crate) struct LobeWeights {
     /// Like a mirror, sharp or blurred.
-    pub mirrored: Vec3,
+    pub specular_reflection: Vec3,
     /// Through the surface.
-    pub refracted: Vec3,
+    pub specular_transmission: Vec3,
     /// In all directions.
-    pub matt: Vec3,
+    pub diffuse: Vec3,
 }
 
 /// `eta` is as in [`fresnel_dielectric`].
-pub(crate) fn divide_light(surface: &Surface, cosine: f32, eta: f32) -> Shares {
+pub(crate) fn lobe_weights(surface: &Surface, cosine: f32, eta: f32) -> LobeWeights {
     let base_color = surface.base_color.xyz();
-    let rise = polish(surface.roughness);
+    let rise = grazing_rise(surface.roughness);
     let metal = mix3(base_color, Vec3::ONE, schlick(cosine) * rise);
     let mut dielectric = fresnel_dielectric(cosine, eta);
     if dielectric < 1.0 {
-        let normal_incidence = normal_reflectance(surface.ior);
+        let normal_incidence = f0_from_ior(surface.ior);
         dielectric = normal_incidence + (dielectric - normal_incidence) * rise;
     }
     let entering = (1.0 - surface.metallic) * (1.0 - dielectric);
-    Shares {
-        mirrored: mix3(Vec3::splat(dielectric), metal, surface.metallic),
-        refracted: surface.tint * (entering * surface.transmission),
-        matt: base_color * (entering * (1.0 - surface.transmission)),
+    LobeWeights {
+        specular_reflection: mix3(Vec3::splat(dielectric), metal, surface.metallic),
+        specular_transmission: surface.tint * (entering * surface.transmission),
+        diffuse: base_color * (entering * (1.0 - surface.transmission)),
     }
 }
 
@@ -86,30 +87,30 @@ pub(crate) fn divide_light(surface: &Surface, cosine: f32, eta: f32) -> Shares {
 /// The model is glTF's, but for one thing: what is mirrored towards the viewer is missing from the matt part there, too.
 /// glTF's example weighs the matt part by the Fresnel term of the half-way vector alone, and so reflects up to 1.29 of the
 /// light at grazing angles.
-pub(crate) fn reflect_light(surface: &Surface, to_viewer: Vec3, to_light: Vec3) -> Vec3 {
+pub(crate) fn evaluate_brdf(surface: &Surface, to_viewer: Vec3, to_light: Vec3) -> Vec3 {
     let n_l = dot3(surface.normal, to_light);
     if n_l <= 0.0 {
         return Vec3::ZERO;
     }
-    let n_v = max(dot3(surface.normal, to_viewer), GRAZING);
-    let half_way = unit_or(to_viewer + to_light, surface.normal);
+    let n_v = max(dot3(surface.normal, to_viewer), MIN_COSINE);
+    let half_way = normalize_or(to_viewer + to_light, surface.normal);
     let n_h = dot3(surface.normal, half_way).clamp(0.0, 1.0);
     let edge = schlick(dot3(to_viewer, half_way));
 
-    let f0 = normal_reflectance(surface.ior);
+    let f0 = f0_from_ior(surface.ior);
     let dielectric = f0 + (1.0 - f0) * edge;
     let metal = mix3(surface.base_color.xyz(), Vec3::ONE, edge);
     let fresnel = mix3(Vec3::splat(dielectric), metal, surface.metallic);
-    let towards_viewer = f0 + (1.0 - f0) * (schlick(n_v) * polish(surface.roughness));
+    let towards_viewer = f0 + (1.0 - f0) * (schlick(n_v) * grazing_rise(surface.roughness));
     let matt = (1.0 - surface.metallic) * (1.0 - max(dielectric, towards_viewer)) * (1.0 - surface.transmission);
 
-    let roughness = max(surface.roughness, HIGHLIGHT_ROUGHNESS);
-    let specular = fresnel * microfacets(n_l, n_v, n_h, roughness * roughness);
+    let roughness = max(surface.roughness, MIN_HIGHLIGHT_ROUGHNESS);
+    let specular = fresnel * ggx_specular(n_l, n_v, n_h, roughness * roughness);
     (surface.base_color.xyz() * (matt / PI) + specular) * n_l
 }
 
 /// GGX's distribution times Smith's height-correlated visibility.
-fn microfacets(n_l: f32, n_v: f32, n_h: f32, alpha: f32) -> f32 {
+fn ggx_specular(n_l: f32, n_v: f32, n_h: f32, alpha: f32) -> f32 {
     let square = alpha * alpha;
     // n_h^2 (square - 1) + 1, without the cancellation at n_h = 1.
     let spread = (1.0 - n_h * n_h) + (n_h * n_h) * square;
@@ -131,7 +132,7 @@ mod tests {
             position: Vec3::ZERO,
             geometric_normal: Vec3::Z,
             normal: Vec3::Z,
-            offset: 0.0,
+            ray_offset: 0.0,
             base_color: Vec4::splat(base_color),
             emissive: Vec3::ZERO,
             metallic,
@@ -141,7 +142,7 @@ mod tests {
             flags: MaterialFlags::empty(),
             tint: Vec3::ONE,
             thin: false,
-            inside: false,
+            is_inside: false,
         }
     }
 
@@ -209,7 +210,7 @@ mod tests {
             for j in 0..columns {
                 let azimuth = (f64::from(j) + 0.5) / f64::from(columns) * std::f64::consts::TAU;
                 let to_light = Vec3::new((radius * azimuth.cos()) as f32, (radius * azimuth.sin()) as f32, z as f32);
-                sum += f64::from(reflect_light(surface, to_viewer, to_light).x);
+                sum += f64::from(evaluate_brdf(surface, to_viewer, to_light).x);
             }
         }
         sum * std::f64::consts::TAU / f64::from(rows * columns)
@@ -222,7 +223,7 @@ mod tests {
                 for cosine in [1.0f32, 0.7, 0.5, 0.3, 0.1, 0.03] {
                     let to_viewer = Vec3::new((1.0 - cosine * cosine).sqrt(), 0.0, cosine);
                     let part = reflected_part(&surface(1.0, metallic, roughness), to_viewer);
-                    // Half a percent: the fit of `polish`.
+                    // Half a percent: the fit of `grazing_rise`.
                     assert!(part <= 1.005, "metallic {metallic}, roughness {roughness}, cosine {cosine}: {part}");
                     assert!(part > 0.3, "metallic {metallic}, roughness {roughness}, cosine {cosine}: {part}");
                 }
@@ -239,7 +240,8 @@ mod tests {
             for cosine in [1.0, 0.5, 0.1, 1e-3] {
                 for (transmission, eta) in [(0.0, 1.0 / 1.5), (0.6, 1.0 / 1.5), (1.0, 1.5)] {
                     let white = Surface { transmission, ..surface(1.0, metallic, roughness) };
-                    let Shares { mirrored, refracted, matt } = divide_light(&white, cosine, eta);
+                    let LobeWeights { specular_reflection: mirrored, specular_transmission: refracted, diffuse: matt } =
+                        lobe_weights(&white, cosine, eta);
                     let sum = mirrored + refracted + matt;
                     assert!((sum - Vec3::ONE).abs().max_element() < 1e-6, "{metallic} {roughness} {cosine} {sum}");
                     assert!(mirrored.min(refracted).min(matt).min_element() >= 0.0);
@@ -250,11 +252,12 @@ mod tests {
 
     #[test]
     fn sharpness_falls_from_mirror_to_blurred() {
-        assert_eq!(sharpness(0.0), 1.0);
-        assert_eq!(sharpness(MIRROR_ROUGHNESS), 1.0);
-        assert_eq!(sharpness(MAX_MIRROR_ROUGHNESS), 0.0);
-        assert_eq!(sharpness(1.0), 0.0);
-        let falls = (0..100).all(|i| sharpness(i as f32 * 0.01) >= sharpness((i + 1) as f32 * 0.01));
+        assert_eq!(traced_reflection_share(0.0), 1.0);
+        assert_eq!(traced_reflection_share(SHARP_REFLECTION_ROUGHNESS), 1.0);
+        assert_eq!(traced_reflection_share(MAX_MIRROR_ROUGHNESS), 0.0);
+        assert_eq!(traced_reflection_share(1.0), 0.0);
+        let falls = (0..100)
+            .all(|i| traced_reflection_share(i as f32 * 0.01) >= traced_reflection_share((i + 1) as f32 * 0.01));
         assert!(falls);
     }
 }

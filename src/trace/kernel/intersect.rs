@@ -22,7 +22,7 @@
 //! 3. **Box.** The ray meets the triangle at a mean P of the corners' p, and t = P.z / direction.z. A box around the
 //!    triangle has min <= corner, and rounding is monotonic: the computed min - origin is at most P. By its reciprocal, its
 //!    product, and S, the plane's computed t is at most 6 v beyond t; that of the far plane at most 6 v before it. The
-//!    comparison allows 32 v, [`BOX_SLACK`]. A hit so far ends the interval at its own rounded t: see point 5.
+//!    comparison allows 32 v, [`BOX_ENTRY_SCALE`]. A hit so far ends the interval at its own rounded t: see point 5.
 //! 4. **Zeros.** Where a direction is shorter along one axis than 2^-64 of the longest, it counts as that long, so nothing
 //!    is ever infinite. The ray is then misplaced by less than 2^-64 of its way, which the padding of the boxes exceeds.
 //! 5. **Distance.** The edge functions tell that the ray meets the triangle, but not well how far away: an interpolated t is off
@@ -39,12 +39,12 @@ use super::math::{cross3, dot3, max, min};
 use crate::device::layout::{Node, Triangle};
 
 /// See point 3.
-pub(crate) const BOX_SLACK: f32 = 1.0 - 1.0 / (1 << 18) as f32;
+pub(crate) const BOX_ENTRY_SCALE: f32 = 1.0 - 1.0 / (1 << 18) as f32;
 /// See point 4: 2^-64 of the longest component, and at least 2^-120, whose reciprocal is finite.
-pub(crate) const LEAST_SHARE: f32 = 1.0 / (1_u128 << 64) as f32;
-pub(crate) const LEAST_COMPONENT: f32 = 1.0 / (1_u128 << 120) as f32;
+pub(crate) const MIN_RELATIVE_COMPONENT: f32 = 1.0 / (1_u128 << 64) as f32;
+pub(crate) const MIN_COMPONENT: f32 = 1.0 / (1_u128 << 120) as f32;
 /// The square root of the greatest quotient that counts as a number.
-pub(crate) const LARGE: f32 = (1_u64 << 63) as f32;
+pub(crate) const SQRT_MAX_QUOTIENT: f32 = (1_u64 << 63) as f32;
 /// See point 2.
 pub(crate) const CORNER_TOLERANCE: f32 = 1.0 / (1 << 22) as f32;
 /// See point 2.
@@ -54,7 +54,7 @@ pub(crate) const EDGE_TOLERANCE: f32 = 1.0 / (1 << 21) as f32;
 #[derive(Clone, Copy)]
 pub(crate) struct SlabRay {
     pub origin: Vec3,
-    pub reciprocal: Vec3,
+    pub reciprocal_direction: Vec3,
 }
 
 /// A ray as triangles see it: the rows of a shear that takes it to the z axis, and of what takes points to t.
@@ -68,12 +68,12 @@ pub(crate) struct ShearRay {
     /// A power of two that takes coordinates to about 1.
     pub scale: f32,
     /// From t to the unit of the sheared x and y.
-    pub depth_scale: f32,
+    pub t_to_sheared: f32,
 }
 
 /// Where a ray meets a triangle within its edges.
 #[derive(Clone, Copy)]
-pub(crate) struct Crossing {
+pub(crate) struct TriangleHit {
     pub t: f32,
     pub u: f32,
     pub v: f32,
@@ -90,24 +90,27 @@ pub(crate) fn max_component(v: Vec3) -> f32 {
 }
 
 pub(crate) fn slab_ray(origin: Vec3, direction: Vec3) -> SlabRay {
-    let least = max(max_component(direction.abs()) * LEAST_SHARE, LEAST_COMPONENT);
+    let least = max(max_component(direction.abs()) * MIN_RELATIVE_COMPONENT, MIN_COMPONENT);
     let reciprocal = |d: f32| {
         let bounded = max(d.abs(), least);
         if d < 0.0 { -1.0 / bounded } else { 1.0 / bounded }
     };
-    SlabRay { origin, reciprocal: Vec3::new(reciprocal(direction.x), reciprocal(direction.y), reciprocal(direction.z)) }
+    SlabRay {
+        origin,
+        reciprocal_direction: Vec3::new(reciprocal(direction.x), reciprocal(direction.y), reciprocal(direction.z)),
+    }
 }
 
 /// Whether the ray meets the box between `t_min`, which is not negative, and `t_max`, both included.
 #[inline]
-pub(crate) fn meets_box(ray: &SlabRay, t_min: f32, t_max: f32, node: &Node) -> bool {
-    let a = (Vec3::from_array(node.min) - ray.origin) * ray.reciprocal;
-    let b = (Vec3::from_array(node.max) - ray.origin) * ray.reciprocal;
+pub(crate) fn intersects_box(ray: &SlabRay, t_min: f32, t_max: f32, node: &Node) -> bool {
+    let a = (Vec3::from_array(node.min) - ray.origin) * ray.reciprocal_direction;
+    let b = (Vec3::from_array(node.max) - ray.origin) * ray.reciprocal_direction;
     let near = Vec3::new(min(a.x, b.x), min(a.y, b.y), min(a.z, b.z));
     let far = Vec3::new(max(a.x, b.x), max(a.y, b.y), max(a.z, b.z));
     let t_near = max(max(near.x, near.y), max(near.z, t_min));
     let t_far = min(min(far.x, far.y), min(far.z, t_max));
-    t_near * BOX_SLACK <= t_far
+    t_near * BOX_ENTRY_SCALE <= t_far
 }
 
 /// For each corner the greater of the other two corners' values: those of the edge across.
@@ -151,13 +154,13 @@ pub(crate) fn shear_ray(origin: Vec3, direction: Vec3, extent: f32) -> ShearRay 
         (x_row, y_row) = (y_row, x_row);
     }
     let depth_scale = depth.abs() * scale;
-    ShearRay { origin, direction, x_row: x_row * scale, y_row: y_row * scale, t_row, scale, depth_scale }
+    ShearRay { origin, direction, x_row: x_row * scale, y_row: y_row * scale, t_row, scale, t_to_sheared: depth_scale }
 }
 
 /// Where the ray meets the triangle, anywhere along its line. The point is on the triangle, tolerance or not: the weights
 /// are not negative, and t lies between those of the corners. A triangle without area, seen along the ray, is not met.
 #[inline]
-pub(crate) fn cross_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<Crossing> {
+pub(crate) fn intersect_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<TriangleHit> {
     let a = Vec3::from_array(triangle.v0) - ray.origin;
     let b = Vec3::from_array(triangle.v1) - ray.origin;
     let c = Vec3::from_array(triangle.v2) - ray.origin;
@@ -165,7 +168,7 @@ pub(crate) fn cross_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<Cros
     let y = Vec3::new(dot3(ray.y_row, a), dot3(ray.y_row, b), dot3(ray.y_row, c));
     let t = Vec3::new(dot3(ray.t_row, a), dot3(ray.t_row, b), dot3(ray.t_row, c));
 
-    let depth = max(-min_component(t), max_component(t)) * ray.depth_scale;
+    let depth = max(-min_component(t), max_component(t)) * ray.t_to_sheared;
 
     // 1. Beside the triangle by more than rounding can explain?
     let (x_least, x_greatest) = (min_component(x), max_component(x));
@@ -190,7 +193,7 @@ pub(crate) fn cross_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<Cros
     // Rarely needed: an edge with both corners near the ray is known better than that.
     if min_component(weights) < 0.0 {
         let (x, y, z) =
-            (greater_of_others(x.abs()), greater_of_others(y.abs()), greater_of_others(t.abs()) * ray.depth_scale);
+            (greater_of_others(x.abs()), greater_of_others(y.abs()), greater_of_others(t.abs()) * ray.t_to_sheared);
         let tolerances = EDGE_TOLERANCE * (z * (x + y) + 4.0 * (x * y));
         if min_component(weights + tolerances) < 0.0 {
             return None;
@@ -204,15 +207,15 @@ pub(crate) fn cross_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<Cros
         return None;
     }
     weights *= 1.0 / area;
-    let t_plane = plane_distance(ray, triangle, t, weights);
+    let t_plane = plane_t(ray, triangle, t, weights);
     let t_hit = min(max(t_plane, min_component(t)), max_component(t));
-    Some(Crossing { t: t_hit, u: weights.y, v: weights.z, back })
+    Some(TriangleHit { t: t_hit, u: weights.y, v: weights.z, back })
 }
 
 /// How far it is to the triangle's plane, see point 5; to the corner with the greatest weight, if the ray lies in the plane. `t` is
 /// that of the corners.
 #[inline]
-pub(crate) fn plane_distance(ray: &ShearRay, triangle: &Triangle, t: Vec3, weights: Vec3) -> f32 {
+pub(crate) fn plane_t(ray: &ShearRay, triangle: &Triangle, t: Vec3, weights: Vec3) -> f32 {
     let [v0, v1, v2] = [triangle.v0, triangle.v1, triangle.v2].map(Vec3::from_array);
     let normal = cross3((v1 - v0) * ray.scale, (v2 - v0) * ray.scale);
     let (corner, corner_t) = if weights.x >= weights.y && weights.x >= weights.z {
@@ -224,7 +227,7 @@ pub(crate) fn plane_distance(ray: &ShearRay, triangle: &Triangle, t: Vec3, weigh
     };
     let (height, slope) = (dot3(normal, corner), dot3(normal, ray.direction));
     // The quotient would not be a number. Neither factor makes subnormal numbers, which cost some processors a hundred times as much.
-    if slope.abs() * LARGE <= height.abs() / LARGE {
+    if slope.abs() * SQRT_MAX_QUOTIENT <= height.abs() / SQRT_MAX_QUOTIENT {
         return corner_t;
     }
     height / slope
@@ -255,7 +258,7 @@ mod tests {
         let mut backs = 0;
         for direction in directions().filter(|d| dot3(*d, normal).abs() > 0.1) {
             let ray = shear_ray(center - direction * 4.0, direction, 8.0);
-            let crossing = cross_triangle(&ray, &triangle(corners)).expect("it aims at the centre");
+            let crossing = intersect_triangle(&ray, &triangle(corners)).expect("it aims at the centre");
             assert!((crossing.t - 4.0).abs() < 1e-5 && (crossing.u - 1.0 / 3.0).abs() < 1e-5, "{direction}");
             assert_eq!(crossing.back, dot3(direction, normal) > 0.0, "{direction}");
             backs += usize::from(crossing.back);
@@ -334,7 +337,7 @@ mod tests {
             let (corners, origin) = (corners.map(|v| v * scale), origin * scale);
             let extent = corners.iter().fold(max_component(origin.abs()), |m, v| max(m, max_component(v.abs())));
             let ray = shear_ray(origin, direction * scale, extent);
-            let Some(hit) = cross_triangle(&ray, &triangle(corners)) else { continue };
+            let Some(hit) = intersect_triangle(&ray, &triangle(corners)) else { continue };
             let depths = Vec3::from_array(corners.map(|v| dot3(ray.t_row, v - origin)));
             let (least, greatest) = (min_component(depths), max_component(depths));
             assert!(hit.t >= least && hit.t <= greatest, "{corners:?}: {} beside {depths}", hit.t);
@@ -355,7 +358,7 @@ mod tests {
         for direction in directions() {
             let ray = shear_ray(-2.0 * direction, direction, 4.0);
             for corners in [[a, b, b], [a, a, a], [a, Vec3::ZERO, b], [Vec3::ZERO; 3]] {
-                assert!(cross_triangle(&ray, &triangle(corners)).is_none(), "{corners:?} along {direction}");
+                assert!(intersect_triangle(&ray, &triangle(corners)).is_none(), "{corners:?} along {direction}");
             }
         }
     }
@@ -364,7 +367,7 @@ mod tests {
     fn nothing_is_met_without_a_direction() {
         let corners = [Vec3::new(-1.0, -1.0, 1.0), Vec3::new(1.0, -1.0, 1.0), Vec3::new(0.0, 1.0, 1.0)];
         for direction in [Vec3::ZERO, Vec3::NAN, Vec3::INFINITY] {
-            assert!(cross_triangle(&shear_ray(Vec3::ZERO, direction, 1.0), &triangle(corners)).is_none());
+            assert!(intersect_triangle(&shear_ray(Vec3::ZERO, direction, 1.0), &triangle(corners)).is_none());
         }
     }
 

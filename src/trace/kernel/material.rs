@@ -7,17 +7,24 @@ use super::KernelScene;
 use super::math::mix3;
 use super::texture::sample_texture;
 use crate::device::layout::{
-    Instance, InstanceFlags, Material, MaterialFlags, NONE, Streams, TextureFlags, TextureInfo, Triangle,
+    GeometryRecord, InstanceFlags, InstanceRecord, MaterialFlags, MaterialRecord, NONE, TextureFlags, TextureInfo,
+    Triangle,
 };
 
 /// A point of a triangle, as the vertex streams see it.
-pub(crate) struct Place {
-    pub streams: Streams,
+pub(crate) struct TrianglePoint {
+    pub streams: GeometryRecord,
     pub vertices: [u32; 3],
     pub weights: Vec3,
 }
 
-pub(crate) fn place_on(scene: &KernelScene<'_>, instance: &Instance, triangle: &Triangle, u: f32, v: f32) -> Place {
+pub(crate) fn triangle_point(
+    scene: &KernelScene<'_>,
+    instance: &InstanceRecord,
+    triangle: &Triangle,
+    u: f32,
+    v: f32,
+) -> TrianglePoint {
     let streams = scene.geometries[instance.geometry as usize];
     // A geometry without streams has no indices either.
     let mut vertices = [0; 3];
@@ -25,42 +32,53 @@ pub(crate) fn place_on(scene: &KernelScene<'_>, instance: &Instance, triangle: &
         let first = (streams.first_index + 3 * triangle.primitive) as usize;
         vertices = [scene.indices[first], scene.indices[first + 1], scene.indices[first + 2]];
     }
-    Place { streams, vertices, weights: Vec3::new((1.0 - u) - v, u, v) }
+    TrianglePoint { streams, vertices, weights: Vec3::new((1.0 - u) - v, u, v) }
 }
 
 /// Whether an alpha-masked material has a hole here: `closest_hit` asks about each candidate.
-pub(crate) fn is_hole(scene: &KernelScene<'_>, instance: &Instance, triangle: &Triangle, u: f32, v: f32) -> bool {
+pub(crate) fn fails_alpha_test(
+    scene: &KernelScene<'_>,
+    instance: &InstanceRecord,
+    triangle: &Triangle,
+    u: f32,
+    v: f32,
+) -> bool {
     let material = &scene.materials[instance.material as usize];
-    if !has(material, MaterialFlags::MASK) {
+    if !has_flags(material, MaterialFlags::MASK) {
         return false;
     }
-    base_color_at(scene, material, &place_on(scene, instance, triangle, u, v)).w < material.alpha_cutoff
+    base_color_at(scene, material, &triangle_point(scene, instance, triangle, u, v)).w < material.alpha_cutoff
 }
 
 /// The part of the light that goes on through a candidate of a shadow ray: all through a hole, what alpha leaves open, and
 /// of the rest what is refracted. Shadow rays do not bend, and Fresnel reflection is taken at normal incidence.
-pub(crate) fn passes(scene: &KernelScene<'_>, instance: &Instance, triangle: &Triangle, u: f32, v: f32) -> Vec3 {
+pub(crate) fn surface_transmittance(
+    scene: &KernelScene<'_>,
+    instance: &InstanceRecord,
+    triangle: &Triangle,
+    u: f32,
+    v: f32,
+) -> Vec3 {
     let material = &scene.materials[instance.material as usize];
-    let place = place_on(scene, instance, triangle, u, v);
+    let place = triangle_point(scene, instance, triangle, u, v);
     let base_color = base_color_at(scene, material, &place);
-    if has(material, MaterialFlags::MASK) && base_color.w < material.alpha_cutoff {
+    if has_flags(material, MaterialFlags::MASK) && base_color.w < material.alpha_cutoff {
         return Vec3::ONE;
     }
     let mut transmitted = Vec3::ZERO;
     if material.transmission > 0.0 {
         let [metallic, _] = metallic_roughness_at(scene, material, &place);
-        let entering = (1.0 - normal_reflectance(material.ior)) * (1.0 - metallic);
-        transmitted =
-            transmission_tint(instance, base_color.xyz()) * (entering * transmission_at(scene, material, &place));
+        let entering = (1.0 - f0_from_ior(material.ior)) * (1.0 - metallic);
+        transmitted = crossing_tint(instance, base_color.xyz()) * (entering * transmission_at(scene, material, &place));
     }
-    if has(material, MaterialFlags::BLEND) {
+    if has_flags(material, MaterialFlags::BLEND) {
         return mix3(Vec3::ONE, transmitted, base_color.w);
     }
     transmitted
 }
 
 /// Linear base colour and alpha.
-pub(crate) fn base_color_at(scene: &KernelScene<'_>, material: &Material, place: &Place) -> Vec4 {
+pub(crate) fn base_color_at(scene: &KernelScene<'_>, material: &MaterialRecord, place: &TrianglePoint) -> Vec4 {
     let mut color = Vec4::from_array(material.base_color);
     if place.streams.first_color != NONE {
         let first = place.streams.first_color;
@@ -74,7 +92,11 @@ pub(crate) fn base_color_at(scene: &KernelScene<'_>, material: &Material, place:
 }
 
 /// Metallic and perceptual roughness.
-pub(crate) fn metallic_roughness_at(scene: &KernelScene<'_>, material: &Material, place: &Place) -> [f32; 2] {
+pub(crate) fn metallic_roughness_at(
+    scene: &KernelScene<'_>,
+    material: &MaterialRecord,
+    place: &TrianglePoint,
+) -> [f32; 2] {
     if material.metallic_roughness_texture != NONE {
         let value = texture_at(scene, material.metallic_roughness_texture, place);
         return [material.metallic * value.z, material.roughness * value.y];
@@ -82,7 +104,7 @@ pub(crate) fn metallic_roughness_at(scene: &KernelScene<'_>, material: &Material
     [material.metallic, material.roughness]
 }
 
-pub(crate) fn emissive_at(scene: &KernelScene<'_>, material: &Material, place: &Place) -> Vec3 {
+pub(crate) fn emissive_at(scene: &KernelScene<'_>, material: &MaterialRecord, place: &TrianglePoint) -> Vec3 {
     let emissive = Vec3::from_array(material.emissive);
     if material.emissive_texture != NONE {
         return emissive * texture_at(scene, material.emissive_texture, place).xyz();
@@ -90,7 +112,7 @@ pub(crate) fn emissive_at(scene: &KernelScene<'_>, material: &Material, place: &
     emissive
 }
 
-pub(crate) fn transmission_at(scene: &KernelScene<'_>, material: &Material, place: &Place) -> f32 {
+pub(crate) fn transmission_at(scene: &KernelScene<'_>, material: &MaterialRecord, place: &TrianglePoint) -> f32 {
     if material.transmission_texture != NONE {
         return material.transmission * texture_at(scene, material.transmission_texture, place).x;
     }
@@ -99,7 +121,7 @@ pub(crate) fn transmission_at(scene: &KernelScene<'_>, material: &Material, plac
 
 /// What one crossing of the surface does to transmitted light. A solid is entered and left: two crossings make its base
 /// colour.
-pub(crate) fn transmission_tint(instance: &Instance, base_color: Vec3) -> Vec3 {
+pub(crate) fn crossing_tint(instance: &InstanceRecord, base_color: Vec3) -> Vec3 {
     if InstanceFlags::from_bits_retain(instance.flags).contains(InstanceFlags::THIN) {
         return base_color;
     }
@@ -107,7 +129,7 @@ pub(crate) fn transmission_tint(instance: &Instance, base_color: Vec3) -> Vec3 {
 }
 
 /// What a dielectric of this index of refraction reflects at normal incidence. 0 stands for infinite.
-pub(crate) fn normal_reflectance(ior: f32) -> f32 {
+pub(crate) fn f0_from_ior(ior: f32) -> f32 {
     if ior <= 0.0 {
         return 1.0;
     }
@@ -115,13 +137,13 @@ pub(crate) fn normal_reflectance(ior: f32) -> f32 {
     ratio * ratio
 }
 
-fn texture_at(scene: &KernelScene<'_>, info_index: u32, place: &Place) -> Vec4 {
+fn texture_at(scene: &KernelScene<'_>, info_index: u32, place: &TrianglePoint) -> Vec4 {
     let info = &scene.texture_infos[info_index as usize];
     sample_texture(scene, info, tex_coord_at(scene, info, place))
 }
 
 /// Texture coordinates of the set that a texture uses; (0, 0) where the geometry does not have it.
-pub(crate) fn tex_coord_at(scene: &KernelScene<'_>, info: &TextureInfo, place: &Place) -> Vec2 {
+pub(crate) fn tex_coord_at(scene: &KernelScene<'_>, info: &TextureInfo, place: &TrianglePoint) -> Vec2 {
     let first = first_tex_coord(info, &place.streams);
     if first == NONE {
         return Vec2::ZERO;
@@ -134,7 +156,7 @@ pub(crate) fn tex_coord(scene: &KernelScene<'_>, i: u32) -> Vec2 {
     Vec2::from_array(scene.tex_coords[i as usize])
 }
 
-pub(crate) fn first_tex_coord(info: &TextureInfo, streams: &Streams) -> u32 {
+pub(crate) fn first_tex_coord(info: &TextureInfo, streams: &GeometryRecord) -> u32 {
     if TextureFlags::from_bits_retain(info.flags).contains(TextureFlags::TEX_COORD_1) {
         return streams.first_tex_coord_1;
     }
@@ -147,6 +169,6 @@ fn vertex_color(scene: &KernelScene<'_>, i: u32) -> Vec4 {
     Vec4::from_array(rgba.map(|unorm| unorm as f32)) * (1.0 / 65535.0)
 }
 
-fn has(material: &Material, flags: MaterialFlags) -> bool {
+fn has_flags(material: &MaterialRecord, flags: MaterialFlags) -> bool {
     MaterialFlags::from_bits_retain(material.flags).contains(flags)
 }

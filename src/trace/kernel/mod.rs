@@ -11,57 +11,59 @@ mod rope;
 mod sky;
 mod surface;
 mod texture;
+mod traversal_state;
 mod traverse;
-mod walk;
 mod whitted;
 mod wide;
 
 pub(crate) use camera::camera_ray;
 pub(crate) use intersect::{
-    BOX_SLACK, CORNER_TOLERANCE, EDGE_TOLERANCE, LARGE, LEAST_COMPONENT, LEAST_SHARE, SlabRay, cross_triangle,
-    max_component, meets_box, shear_ray, slab_ray,
+    BOX_ENTRY_SCALE, CORNER_TOLERANCE, EDGE_TOLERANCE, MIN_COMPONENT, MIN_RELATIVE_COMPONENT, SQRT_MAX_QUOTIENT,
+    SlabRay, intersect_triangle, intersects_box, max_component, shear_ray, slab_ray,
 };
-pub(crate) use light::Lit;
-pub(crate) use material::is_hole;
+pub(crate) use light::LightSample;
+pub(crate) use material::fails_alpha_test;
+pub(crate) use traversal_state::TraversalCounter;
 pub(crate) use traverse::{
-    Traverse, any_hit, closest_hit, count_any, count_closest, count_transmittance, is_closer, is_layered,
-    light_through_layers, passes_at, take_closer, transmittance,
+    RayQueries, accept_hit, any_hit, candidate_transmittance, closest_hit, count_any_hit, count_closest_hit,
+    count_transmittance, is_before, is_layered, transmittance, transmittance_of_layers,
 };
-pub(crate) use walk::Counter;
 #[cfg(feature = "gpu")]
-pub(crate) use whitted::most_rays;
-pub(crate) use whitted::{MAX_DEPTH, Met, Path, Pixel, render_pixel, shining};
-pub(crate) use wide::extent;
+pub(crate) use whitted::max_rays_per_pixel;
+pub(crate) use whitted::{MAX_DEPTH, Pixel, RayTree, SurfaceHit, active_lights, render_pixel};
+pub(crate) use wide::grid_extent;
 
 use crate::device::DeviceArrays;
-use crate::device::layout::{Instance, Light, Material, Node, Streams, TextureInfo, Triangle, WideNode};
-use crate::trace::Layout;
+use crate::device::layout::{
+    GeometryRecord, InstanceRecord, LightRecord, MaterialRecord, Node, TextureInfo, Triangle, WideNode,
+};
+use crate::trace::Traversal;
 
 /// The device arrays as the kernel reads them: the bindings of `types.wgsl`.
 #[derive(Clone, Copy)]
 pub(crate) struct KernelScene<'a> {
-    pub layout: Layout,
+    pub layout: Traversal,
     pub tlas_nodes: &'a [Node],
-    pub instances: &'a [Instance],
+    pub instances: &'a [InstanceRecord],
     pub blas_nodes: &'a [Node],
     pub wide_nodes: &'a [WideNode],
     pub triangles: &'a [Triangle],
-    pub geometries: &'a [Streams],
+    pub geometries: &'a [GeometryRecord],
     pub indices: &'a [u32],
     pub normals: &'a [f32],
     pub tex_coords: &'a [[f32; 2]],
     pub colors: &'a [[u32; 2]],
-    pub materials: &'a [Material],
+    pub materials: &'a [MaterialRecord],
     pub texture_infos: &'a [TextureInfo],
     pub texels: &'a [u32],
-    pub lights: &'a [Light],
+    pub lights: &'a [LightRecord],
 }
 
 impl<'a> KernelScene<'a> {
     /// Walked along escape indices.
     pub(crate) fn new(arrays: &'a DeviceArrays) -> Self {
         Self {
-            layout: Layout::Rope,
+            layout: Traversal::Rope,
             tlas_nodes: &arrays.tlas_nodes,
             instances: &arrays.instances,
             blas_nodes: &arrays.blas_nodes,
@@ -80,8 +82,8 @@ impl<'a> KernelScene<'a> {
     }
 
     /// Walked as wished, where the arrays have what that takes.
-    pub(crate) fn with_layout(arrays: &'a DeviceArrays, layout: Layout) -> Self {
-        Self { layout: layout.of(arrays), ..Self::new(arrays) }
+    pub(crate) fn with_layout(arrays: &'a DeviceArrays, layout: Traversal) -> Self {
+        Self { layout: layout.supported_by(arrays), ..Self::new(arrays) }
     }
 }
 
@@ -110,19 +112,19 @@ mod tests {
             F::FLAGS.iter().map(move |f| (format!("{prefix}_{}", f.name()), f.value().bits().to_string()))
         }
         let kernel = named! {
-            intersect { BOX_SLACK, LEAST_SHARE, LEAST_COMPONENT, LARGE, CORNER_TOLERANCE, EDGE_TOLERANCE }
-            texture { SRGB_STRAIGHT_END, SRGB_STRAIGHT_SLOPE, SRGB_SCALE, SRGB_OFFSET }
+            intersect { BOX_ENTRY_SCALE, MIN_RELATIVE_COMPONENT, MIN_COMPONENT, SQRT_MAX_QUOTIENT, CORNER_TOLERANCE, EDGE_TOLERANCE }
+            texture { SRGB_LINEAR_END, SRGB_LINEAR_SLOPE, SRGB_SCALE, SRGB_OFFSET }
             texture { SRGB_FIT_6, SRGB_FIT_5, SRGB_FIT_4, SRGB_FIT_3, SRGB_FIT_2, SRGB_FIT_1, SRGB_FIT_0 }
-            surface { GRAZING }
-            offset { HALF_ULP, TRANSFORM_ERROR, EDGE_ERROR }
-            sky { OVERLAP_FIT_6, OVERLAP_FIT_4, OVERLAP_FIT_2, OVERLAP_FIT_0 }
-            brdf { MIRROR_ROUGHNESS, HIGHLIGHT_ROUGHNESS }
-            wide { TOP_STACK, TOP_LEAF, WIDE_STACK, WAITING_BITS, MISSED }
+            surface { MIN_COSINE }
+            offset { HALF_ULP, TRANSFORM_ERROR_FACTOR, EDGE_ERROR }
+            sky { COSINE_INTEGRAL_6, COSINE_INTEGRAL_4, COSINE_INTEGRAL_2, COSINE_INTEGRAL_0 }
+            brdf { SHARP_REFLECTION_ROUGHNESS, MIN_HIGHLIGHT_ROUGHNESS }
+            wide { TLAS_STACK_SIZE, TLAS_LEAF_BIT, BLAS_STACK_SIZE, PENDING_CHILDREN_MASK, NO_ENTRY }
             whitted { MAX_DEPTH, MAX_LAYERS, MAX_RAYS, MIN_THROUGHPUT, MAX_PENDING }
         };
         let others = [
             ("NONE", NONE.to_string()),
-            ("UNUSED", format!("{:?}", Node::UNUSED)),
+            ("UNUSED_COORDINATE", format!("{:?}", Node::UNUSED_COORDINATE)),
             ("LIGHT_POINT", LIGHT_POINT.to_string()),
             ("LIGHT_SPOT", LIGHT_SPOT.to_string()),
             ("LIGHT_DIRECTIONAL", LIGHT_DIRECTIONAL.to_string()),

@@ -1,4 +1,4 @@
-//! Where secondary rays start: outside the error of the hit point, and no farther. Twin of `shaders/shared/offset.wgsl`.
+//! Where secondary rays start: outside the error of the hit point, and no farther. Twin of `shaders/shared/ray_offset.wgsl`.
 //!
 //! A hit point is found in three roundings: interpolated in local space, taken to the world, and taken back to local space
 //! when the next ray enters the same instance. With u = 2^-24, V the largest absolute coordinates of the triangle's
@@ -11,7 +11,7 @@
 //! - to local space: 4 u (|L| (|W| (V, 1)) + |l|), l being L's translation, the rounding of L's numbers included;
 //! - the next ray's direction turns by 4 u in local space, which over the size of the object is as much again.
 //!
-//! Together less than 16 u (V + |L| (|W| (V, 1)) + |l|) ([`TRANSFORM_ERROR`]). The intersection test moves edges by a
+//! Together less than 16 u (V + |L| (|W| (V, 1)) + |l|) ([`TRANSFORM_ERROR_FACTOR`]). The intersection test moves edges by a
 //! tolerance of its own, 8 u times sums of some six extents of the triangle: less than 64 u of its longest edge
 //! ([`EDGE_ERROR`]). The bound `e` is the sum; for the unnormalised local normal n it is |n|.e in the direction of n. A step d
 //! along the world normal L^T n / |L^T n| moves the point in local space by d L L^T n / |L^T n|, which along n is d |L^T n|.
@@ -26,22 +26,22 @@ use glam::Vec3;
 use super::intersect::{max_component, reciprocal_power_of_two};
 use super::math::{cross3, dot3, length3, transform_normal, transform_point};
 use super::surface::Surface;
-use crate::device::layout::{Instance, Triangle};
+use crate::device::layout::{InstanceRecord, Triangle};
 
 pub(super) const HALF_ULP: f32 = 1.0 / 16_777_216.0;
-pub(super) const TRANSFORM_ERROR: f32 = 16.0 * HALF_ULP;
+pub(super) const TRANSFORM_ERROR_FACTOR: f32 = 16.0 * HALF_ULP;
 pub(super) const EDGE_ERROR: f32 = 64.0 * HALF_ULP;
 
 /// A point of a triangle in the world, with the plane's unit normal on the winding's side, and how far along it a ray must
 /// start so that its own rounding cannot put it on the wrong side.
-pub(crate) struct Anchor {
+pub(crate) struct HitPoint {
     pub position: Vec3,
     pub normal: Vec3,
-    pub distance: f32,
+    pub ray_offset: f32,
 }
 
 /// A triangle that rounds to a line has no plane: it faces `fallback`, a unit vector.
-pub(crate) fn anchor_on(instance: &Instance, triangle: &Triangle, weights: Vec3, fallback: Vec3) -> Anchor {
+pub(crate) fn hit_point(instance: &InstanceRecord, triangle: &Triangle, weights: Vec3, fallback: Vec3) -> HitPoint {
     let [v0, v1, v2] = [triangle.v0, triangle.v1, triangle.v2].map(Vec3::from_array);
     let local = (v0 * weights.x + v1 * weights.y) + v2 * weights.z;
     let position = transform_point(&instance.world_from_local, local);
@@ -54,31 +54,31 @@ pub(crate) fn anchor_on(instance: &Instance, triangle: &Triangle, weights: Vec3,
     let largest = max_component(world_normal.abs());
     let has_plane = largest > 0.0;
     if !has_plane {
-        return Anchor { position, normal: fallback, distance: 0.0 };
+        return HitPoint { position, normal: fallback, ray_offset: 0.0 };
     }
 
     let reach = v0.abs().max(v1.abs()).max(v2.abs());
-    let round_trip = transform_extent(&instance.local_from_world, transform_extent(&instance.world_from_local, reach));
-    let error = TRANSFORM_ERROR * (reach + round_trip) + Vec3::splat(EDGE_ERROR * extent);
+    let round_trip = transform_abs(&instance.local_from_world, transform_abs(&instance.world_from_local, reach));
+    let error = TRANSFORM_ERROR_FACTOR * (reach + round_trip) + Vec3::splat(EDGE_ERROR * extent);
 
     let scale = reciprocal_power_of_two(largest);
     let scaled_length = length3(world_normal * scale);
     let distance = (dot3(local_normal.abs(), error) * scale) / scaled_length;
-    Anchor { position, normal: world_normal * (scale / scaled_length), distance }
+    HitPoint { position, normal: world_normal * (scale / scaled_length), ray_offset: distance }
 }
 
 /// The largest absolute coordinates, and sums on the way to them, of the transformed points with coordinates up to `reach`.
-fn transform_extent(rows: &[[f32; 4]; 3], reach: Vec3) -> Vec3 {
+fn transform_abs(rows: &[[f32; 4]; 3], reach: Vec3) -> Vec3 {
     let [x, y, z] = rows.map(|[x, y, z, w]| dot3(Vec3::new(x, y, z).abs(), reach) + w.abs());
     Vec3::new(x, y, z)
 }
 
 /// Where a ray that leaves the surface in a direction starts.
-pub(crate) fn leave(surface: &Surface, direction: Vec3) -> Vec3 {
+pub(crate) fn offset_ray_origin(surface: &Surface, direction: Vec3) -> Vec3 {
     if dot3(direction, surface.geometric_normal) >= 0.0 {
-        return surface.position + surface.geometric_normal * surface.offset;
+        return surface.position + surface.geometric_normal * surface.ray_offset;
     }
-    surface.position - surface.geometric_normal * surface.offset
+    surface.position - surface.geometric_normal * surface.ray_offset
 }
 
 #[cfg(test)]
@@ -87,9 +87,9 @@ mod tests {
 
     use super::*;
     use crate::compile::Compiler;
-    use crate::device::layout::{Hit, NONE, Ray};
+    use crate::device::layout::{HitRecord, NONE, RayRecord};
     use crate::graph::{Core, Geometry, Material, Scene, Transform};
-    use crate::trace::kernel::surface::{GRAZING, surface_at};
+    use crate::trace::kernel::surface::{MIN_COSINE, surface_at};
     use crate::trace::kernel::{KernelScene, any_hit, closest_hit};
 
     /// Numbers from a linear congruential generator, 0 to 1.
@@ -114,7 +114,8 @@ mod tests {
         fn outward(&mut self, normal: Vec3) -> Vec3 {
             let normal = normal.as_dvec3();
             let tangent = self.direction().reject_from(normal).normalize();
-            let slope = if self.next() < 0.5 { self.next() } else { f64::from(GRAZING) * (1.0 + 15.0 * self.next()) };
+            let slope =
+                if self.next() < 0.5 { self.next() } else { f64::from(MIN_COSINE) * (1.0 + 15.0 * self.next()) };
             (tangent * (1.0 - slope * slope).sqrt() + normal * slope).as_vec3()
         }
     }
@@ -196,7 +197,7 @@ mod tests {
             let triangle = &kernel.triangles[(random.next() * kernel.triangles.len() as f64) as usize];
             let (a, b) = (random.next() as f32, random.next() as f32);
             let weights = Vec3::new(1.0 - a, a * (1.0 - b), a * b);
-            let target = anchor_on(&kernel.instances[0], triangle, weights, Vec3::X).position;
+            let target = hit_point(&kernel.instances[0], triangle, weights, Vec3::X).position;
             let direction = random.direction();
             let origin = (target.as_dvec3() - direction * extent * 4.0).as_vec3();
             let ray = ray(origin, direction.as_vec3());
@@ -205,12 +206,12 @@ mod tests {
                 continue;
             }
             let surface = surface_at(&kernel, &hit, direction.as_vec3());
-            if surface.inside {
+            if surface.is_inside {
                 continue;
             }
             check_hit(name, &kernel, &hit, &surface, &mut random, counts);
             let far = usize::from(place.translation.distance(eye) > 100.0 * extent);
-            counts.offsets[far] = counts.offsets[far].max((f64::from(surface.offset) / extent) as f32);
+            counts.offsets[far] = counts.offsets[far].max((f64::from(surface.ray_offset) / extent) as f32);
             found += 1;
             if found == hits {
                 return;
@@ -222,29 +223,29 @@ mod tests {
     fn check_hit(
         name: &str,
         kernel: &KernelScene<'_>,
-        hit: &Hit,
+        hit: &HitRecord,
         surface: &Surface,
         random: &mut Random,
         counts: &mut Counts,
     ) {
         for _ in 0..4 {
             let direction = random.outward(surface.geometric_normal);
-            let leaving = ray(leave(surface, direction), direction);
+            let leaving = ray(offset_ray_origin(surface, direction), direction);
             let again = closest_hit(kernel, &leaving, u32::MAX);
             assert_eq!(again.instance, NONE, "{name}: {hit:?} is left along {leaving:?} and met again as {again:?}");
             assert!(!any_hit(kernel, &leaving, u32::MAX), "{name}: {hit:?}");
             counts.outward += 1;
         }
         let direction = random.outward(-surface.geometric_normal);
-        let entering = ray(leave(surface, direction), direction);
+        let entering = ray(offset_ray_origin(surface, direction), direction);
         let far = closest_hit(kernel, &entering, u32::MAX);
         assert_ne!(far.triangle, hit.triangle, "{name}: {hit:?} is entered and met again from {entering:?}");
-        counts.entered_twice += u32::from(far.instance != NONE && far.back == 0);
+        counts.entered_twice += u32::from(far.instance != NONE && far.back_face == 0);
         counts.inward += u32::from(far.instance != NONE);
     }
 
-    fn ray(origin: Vec3, direction: Vec3) -> Ray {
-        Ray { origin: origin.to_array(), t_min: 0.0, direction: direction.to_array(), t_max: f32::MAX }
+    fn ray(origin: Vec3, direction: Vec3) -> RayRecord {
+        RayRecord { origin: origin.to_array(), t_min: 0.0, direction: direction.to_array(), t_max: f32::MAX }
     }
 
     #[test]

@@ -8,76 +8,82 @@
 use glam::Vec3;
 
 use super::KernelScene;
-use super::intersect::{max_component, meets_box, shear_ray};
+use super::intersect::{intersects_box, max_component, shear_ray};
 use super::math::max;
-use super::walk::{Counter, Place, Walk, first_of};
-use crate::device::layout::{NONE, PrimitiveRange, Ray};
+use super::traversal_state::{LeafTraversal, TraversalCounter, TraversalRay, tlas_root};
+use crate::device::layout::{NONE, PrimitiveRange, RayRecord};
 
-pub(super) struct Rope<C> {
-    place: Place,
+pub(super) struct RopeTraversal<C> {
+    place: TraversalRay,
     /// Next node of the level, relative to its first, or [`NONE`] at its end.
-    index: u32,
+    node_index: u32,
     /// Where to go on in the top level after the instance.
-    resume: u32,
+    tlas_resume_index: u32,
     first_node: u32,
     pub(super) counter: C,
 }
 
-impl<C: Counter> Rope<C> {
-    pub(super) fn new(scene: &KernelScene<'_>, ray: &Ray, ray_mask: u32) -> Self {
-        let index = first_of(scene.tlas_nodes);
-        Self { place: Place::new(ray, ray_mask), index, resume: NONE, first_node: 0, counter: C::default() }
+impl<C: TraversalCounter> RopeTraversal<C> {
+    pub(super) fn new(scene: &KernelScene<'_>, ray: &RayRecord, ray_mask: u32) -> Self {
+        let index = tlas_root(scene.tlas_nodes);
+        Self {
+            place: TraversalRay::new(ray, ray_mask),
+            node_index: index,
+            tlas_resume_index: NONE,
+            first_node: 0,
+            counter: C::default(),
+        }
     }
 
     fn enter_instance(&mut self, scene: &KernelScene<'_>, index: u32) {
-        let Some((instance, origin, direction)) = self.place.enter(scene, index) else { return };
+        let Some((instance, origin, direction)) = self.place.enter_instance(scene, index) else { return };
         self.counter.instance();
         self.counter.read(instance);
         self.first_node = instance.first_node;
-        self.resume = self.index;
-        self.index = 0;
+        self.tlas_resume_index = self.node_index;
+        self.node_index = 0;
         let root = &scene.blas_nodes[self.first_node as usize];
         let corners = max(max_abs(root.min), max_abs(root.max));
-        self.place.shear = shear_ray(origin, direction, max(corners, max_component(origin.abs())));
+        self.place.local_shear = shear_ray(origin, direction, max(corners, max_component(origin.abs())));
     }
 }
 
-impl<C: Counter> Walk for Rope<C> {
+impl<C: TraversalCounter> LeafTraversal for RopeTraversal<C> {
     #[inline]
     fn next_leaf(&mut self, scene: &KernelScene<'_>, t_max: f32) -> Option<PrimitiveRange> {
         loop {
             let in_instance = self.place.instance != NONE;
-            if self.index == NONE {
+            if self.node_index == NONE {
                 if !in_instance {
                     return None;
                 }
-                self.place.leave();
-                self.index = self.resume;
+                self.place.leave_instance();
+                self.node_index = self.tlas_resume_index;
                 continue;
             }
             let node = if in_instance {
-                &scene.blas_nodes[(self.first_node + self.index) as usize]
+                &scene.blas_nodes[(self.first_node + self.node_index) as usize]
             } else {
-                &scene.tlas_nodes[self.index as usize]
+                &scene.tlas_nodes[self.node_index as usize]
             };
             self.counter.node();
             self.counter.read(node);
             self.counter.boxes(1);
-            if !meets_box(&self.place.level, self.place.t_min, t_max, node) {
-                self.index = node.escape_index;
+            if !intersects_box(&self.place.level_ray, self.place.t_min, t_max, node) {
+                self.node_index = node.escape_index;
             } else if node.primitives == PrimitiveRange::INNER {
-                self.index += 1;
+                self.node_index += 1;
             } else {
-                self.index = node.escape_index;
+                self.node_index = node.escape_index;
                 if in_instance {
                     return Some(node.primitives);
                 }
-                self.enter_instance(scene, node.primitives.first());
+                self.enter_instance(scene, node.primitives.first_primitive());
             }
         }
     }
 
-    fn place(&self) -> &Place {
+    fn ray(&self) -> &TraversalRay {
         &self.place
     }
 

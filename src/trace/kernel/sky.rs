@@ -6,29 +6,29 @@ use glam::Vec3;
 use super::math::{dot3, max, mix3};
 use crate::device::layout::FrameParams;
 
-/// Of the even powers of the height in [`cosine_overlap`].
-pub(super) const OVERLAP_FIT_6: f32 = 0.012_317_886;
-pub(super) const OVERLAP_FIT_4: f32 = 0.000_506_380_14;
-pub(super) const OVERLAP_FIT_2: f32 = 0.107_993_014;
-pub(super) const OVERLAP_FIT_0: f32 = 0.212_146_21;
+/// Of the even powers of the height in [`cosine_product_integral`].
+pub(super) const COSINE_INTEGRAL_6: f32 = 0.012_317_886;
+pub(super) const COSINE_INTEGRAL_4: f32 = 0.000_506_380_14;
+pub(super) const COSINE_INTEGRAL_2: f32 = 0.107_993_014;
+pub(super) const COSINE_INTEGRAL_0: f32 = 0.212_146_21;
 
 pub(crate) fn sky_radiance(params: &FrameParams, direction: Vec3) -> Vec3 {
     let height = dot3(direction, Vec3::from_array(params.sky_up)).clamp(-1.0, 1.0);
-    sky_mix(params, max(height, 0.0), max(-height, 0.0))
+    sky_gradient(params, max(height, 0.0), max(-height, 0.0))
 }
 
 /// What a white, matt surface reflects under the whole sky: irradiance over pi.
-pub(crate) fn sky_ambient(params: &FrameParams, normal: Vec3) -> Vec3 {
+pub(crate) fn sky_irradiance_over_pi(params: &FrameParams, normal: Vec3) -> Vec3 {
     let height = dot3(normal, Vec3::from_array(params.sky_up)).clamp(-1.0, 1.0);
-    sky_mix(params, cosine_overlap(height), cosine_overlap(-height))
+    sky_gradient(params, cosine_product_integral(height), cosine_product_integral(-height))
 }
 
 /// The sky as a rough surface mirrors it: between the radiance and the ambient light. Approximate: GGX is no cosine lobe.
 pub(crate) fn sky_blurred(params: &FrameParams, direction: Vec3, roughness: f32) -> Vec3 {
-    mix3(sky_radiance(params, direction), sky_ambient(params, direction), roughness * roughness)
+    mix3(sky_radiance(params, direction), sky_irradiance_over_pi(params, direction), roughness * roughness)
 }
 
-fn sky_mix(params: &FrameParams, up: f32, down: f32) -> Vec3 {
+fn sky_gradient(params: &FrameParams, up: f32, down: f32) -> Vec3 {
     let [zenith, horizon, ground] = [params.sky_zenith, params.sky_horizon, params.sky_ground].map(Vec3::from_array);
     let towards_zenith = (zenith - horizon) * up;
     let towards_ground = (ground - horizon) * down;
@@ -37,9 +37,10 @@ fn sky_mix(params: &FrameParams, up: f32, down: f32) -> Vec3 {
 
 /// The integral over all directions w of max(w.n, 0) max(w.up, 0) / pi with n.up = `height`. In closed form
 /// 2 / (3 pi) (sqrt(1 - h^2) + h (pi - acos h)): h / 3 and an even function, here a Chebyshev fit to 4e-4.
-fn cosine_overlap(height: f32) -> f32 {
+fn cosine_product_integral(height: f32) -> f32 {
     let square = height * height;
-    let even = ((OVERLAP_FIT_6 * square + OVERLAP_FIT_4) * square + OVERLAP_FIT_2) * square + OVERLAP_FIT_0;
+    let even =
+        ((COSINE_INTEGRAL_6 * square + COSINE_INTEGRAL_4) * square + COSINE_INTEGRAL_2) * square + COSINE_INTEGRAL_0;
     max(height * (1.0 / 3.0) + even, 0.0)
 }
 
@@ -79,7 +80,7 @@ mod tests {
     fn ambient_light_is_the_integral_of_the_sky() {
         let params = params();
         for normal in [Vec3::X, Vec3::Y, -Vec3::Y, Vec3::new(2.0, -1.0, 1.0).normalize(), params.sky_up.into()] {
-            let (found, expected) = (sky_ambient(&params, normal), ambient_by_sum(&params, normal));
+            let (found, expected) = (sky_irradiance_over_pi(&params, normal), ambient_by_sum(&params, normal));
             let error = (found - expected).abs().max_element();
             assert!(error < 2e-3, "{normal}: {found}, expected {expected}");
         }

@@ -6,9 +6,9 @@ use super::KernelScene;
 use crate::device::layout::{TextureFlags, TextureInfo};
 
 /// The curve of sRGB: a straight part, 1 / 12.92 steep, and a power of (c + 0.055) / 1.055. See [`linear_from_srgb`].
-pub(super) const SRGB_STRAIGHT_END: f32 = 0.04045;
+pub(super) const SRGB_LINEAR_END: f32 = 0.04045;
 /// 1 / 12.92; like the two below a rounded quotient, not one of rounded numbers.
-pub(super) const SRGB_STRAIGHT_SLOPE: f32 = 0.077_399_38;
+pub(super) const SRGB_LINEAR_SLOPE: f32 = 0.077_399_38;
 /// 1 / 1.055.
 pub(super) const SRGB_SCALE: f32 = 0.947_867_3;
 /// 0.055 / 1.055.
@@ -25,11 +25,11 @@ pub(super) const SRGB_FIT_0: f32 = -0.818_191;
 /// The filtered value of a texture at texture coordinates of the set that it uses.
 pub(crate) fn sample_texture(scene: &KernelScene<'_>, info: &TextureInfo, tex_coord: Vec2) -> Vec4 {
     let coord = image_coordinates(info, tex_coord);
-    let [wrap_u, wrap_v] = wraps(info);
+    let [wrap_u, wrap_v] = wrap_modes(info);
     let x = texel_position(coord.x, info.width, wrap_u);
     let y = texel_position(coord.y, info.height, wrap_v);
     if flags(info).contains(TextureFlags::NEAREST) {
-        return texel(scene, info, x.floor() as i32, y.floor() as i32);
+        return load_texel(scene, info, x.floor() as i32, y.floor() as i32);
     }
 
     // Texel centres lie at half-integers: mix the four around the point.
@@ -39,8 +39,8 @@ pub(crate) fn sample_texture(scene: &KernelScene<'_>, info: &TextureInfo, tex_co
     let down = (y - 0.5) - top;
     let column = left as i32;
     let row = top as i32;
-    let upper = mix4(texel(scene, info, column, row), texel(scene, info, column + 1, row), across);
-    let lower = mix4(texel(scene, info, column, row + 1), texel(scene, info, column + 1, row + 1), across);
+    let upper = mix4(load_texel(scene, info, column, row), load_texel(scene, info, column + 1, row), across);
+    let lower = mix4(load_texel(scene, info, column, row + 1), load_texel(scene, info, column + 1, row + 1), across);
     mix4(upper, lower, down)
 }
 
@@ -60,7 +60,7 @@ enum Wrap {
     Clamp,
 }
 
-fn wraps(info: &TextureInfo) -> [Wrap; 2] {
+fn wrap_modes(info: &TextureInfo) -> [Wrap; 2] {
     let wrap = |mirror, clamp| {
         if flags(info).contains(clamp) {
             Wrap::Clamp
@@ -86,10 +86,10 @@ fn texel_position(coord: f32, size: u32, wrap: Wrap) -> f32 {
     }
 }
 
-fn texel(scene: &KernelScene<'_>, info: &TextureInfo, column: i32, row: i32) -> Vec4 {
-    let [wrap_u, wrap_v] = wraps(info);
-    let x = wrapped(column, info.width as i32, wrap_u);
-    let y = wrapped(row, info.height as i32, wrap_v);
+fn load_texel(scene: &KernelScene<'_>, info: &TextureInfo, column: i32, row: i32) -> Vec4 {
+    let [wrap_u, wrap_v] = wrap_modes(info);
+    let x = wrap_index(column, info.width as i32, wrap_u);
+    let y = wrap_index(row, info.height as i32, wrap_v);
     let word = scene.texels[(info.first_texel + y as u32 * info.width + x as u32) as usize];
     let bytes = [word & 255, (word >> 8) & 255, (word >> 16) & 255, word >> 24];
     let rgba = Vec4::from_array(bytes.map(|byte| byte as f32)) * (1.0 / 255.0);
@@ -100,7 +100,7 @@ fn texel(scene: &KernelScene<'_>, info: &TextureInfo, column: i32, row: i32) -> 
 }
 
 /// The texel that stands at index `i`, which is at most one texel beyond what [`texel_position`] gives.
-fn wrapped(i: i32, size: i32, wrap: Wrap) -> i32 {
+fn wrap_index(i: i32, size: i32, wrap: Wrap) -> i32 {
     let mut wrapped = i;
     match wrap {
         Wrap::Clamp => {}
@@ -133,8 +133,8 @@ fn wrapped(i: i32, size: i32, wrap: Wrap) -> i32 {
 ///
 /// A table of 256 values would be exact, but a shader that indexes a constant array copies it first on some drivers.
 pub(crate) fn linear_from_srgb(c: f32) -> f32 {
-    if c <= SRGB_STRAIGHT_END {
-        return c * SRGB_STRAIGHT_SLOPE;
+    if c <= SRGB_LINEAR_END {
+        return c * SRGB_LINEAR_SLOPE;
     }
     let x = c * SRGB_SCALE + SRGB_OFFSET;
     let s = x.sqrt();

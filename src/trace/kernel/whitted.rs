@@ -17,17 +17,17 @@
 use glam::{Vec3, Vec4, Vec4Swizzles as _};
 
 use super::KernelScene;
-use super::brdf::{divide_light, refracted_cosine, sharpness};
+use super::brdf::{lobe_weights, refracted_cosine, traced_reflection_share};
 use super::intersect::max_component;
-use super::light::{Lit, lit};
+use super::light::{LightSample, sample_light};
 use super::math::dot3;
-use super::offset::leave;
-use super::sky::{sky_ambient, sky_blurred, sky_radiance};
-use super::surface::{Surface, raise, surface_at, unit_or};
-use super::traverse::Traverse;
+use super::offset::offset_ray_origin;
+use super::sky::{sky_blurred, sky_irradiance_over_pi, sky_radiance};
+use super::surface::{Surface, clamp_cosine, normalize_or, surface_at};
+use super::traverse::RayQueries;
 #[cfg(feature = "gpu")]
 use crate::device::Needs;
-use crate::device::layout::{FrameParams, Hit, Light, MaterialFlags, NONE, Ray};
+use crate::device::layout::{FrameParams, HitRecord, LightRecord, MaterialFlags, NONE, RayRecord};
 
 /// The most reflections and refractions of a path, whatever `max_depth` says: [`View::MAX_DEPTH`](crate::View::MAX_DEPTH).
 pub(crate) const MAX_DEPTH: u32 = 8;
@@ -46,7 +46,7 @@ pub(super) const MAX_PENDING: usize = 1 + 2 * MAX_DEPTH as usize;
 
 /// The most rays that a pixel can need, shadow rays not counted: how much work a dispatch may be.
 #[cfg(feature = "gpu")]
-pub(crate) fn most_rays(max_depth: u32, needs: Needs) -> u32 {
+pub(crate) fn max_rays_per_pixel(max_depth: u32, needs: Needs) -> u32 {
     let depth = max_depth.min(MAX_DEPTH);
     match [Needs::BLEND, Needs::REFLECTION, Needs::REFRACTION].map(|need| needs.contains(need)) {
         [true, ..] => MAX_RAYS,
@@ -64,21 +64,21 @@ pub(crate) struct Pixel {
     /// Unit shading normal, towards the camera; zero where nothing was met.
     pub normal: Vec3,
     /// Distance from the camera, or `f32::MAX` where nothing was met.
-    pub depth: f32,
+    pub distance: f32,
     /// Node slot, node version, primitive, instance; [`NONE`] (version 1: the null key) where nothing was met.
     pub ids: [u32; 4],
 }
 
 impl Pixel {
     /// Nothing was met.
-    pub(crate) const NOTHING: Self =
-        Self { color: Vec4::ZERO, normal: Vec3::ZERO, depth: f32::MAX, ids: [NONE, 1, NONE, NONE] };
+    pub(crate) const MISS: Self =
+        Self { color: Vec4::ZERO, normal: Vec3::ZERO, distance: f32::MAX, ids: [NONE, 1, NONE, NONE] };
 }
 
 #[derive(Clone, Copy)]
 struct PendingRay {
     origin: Vec3,
-    depth: u32,
+    bounces: u32,
     direction: Vec3,
     layers: u32,
     /// The part of what it sees that reaches the camera.
@@ -86,110 +86,121 @@ struct PendingRay {
 }
 
 /// A pixel that is being rendered: what it has seen so far, and the rays that wait.
-pub(crate) struct Path {
+pub(crate) struct RayTree {
     pixel: Pixel,
     color: Vec3,
     /// Rays that have been traced.
-    traced: u32,
+    traced_rays: u32,
     pending_count: usize,
     /// The ray that is being traced is kept behind those that wait.
     pending: [PendingRay; MAX_PENDING],
 }
 
 /// A surface that a ray of a path has met.
-pub(crate) struct Met {
+pub(crate) struct SurfaceHit {
     ray: PendingRay,
     surface: Surface,
 }
 
-impl Met {
+impl SurfaceHit {
     /// `None` where nothing of that light goes back along the ray.
-    pub(crate) fn lit(&self, light: &Light) -> Option<Lit> {
+    pub(crate) fn light_sample(&self, light: &LightRecord) -> Option<LightSample> {
         if self.surface.flags.contains(MaterialFlags::UNLIT) {
             return None;
         }
-        lit(light, &self.surface, -self.ray.direction)
+        sample_light(light, &self.surface, -self.ray.direction)
     }
 }
 
 /// `primary` goes through the pixel.
-pub(crate) fn render_pixel<'a>(rays: &mut impl Traverse<'a>, params: &FrameParams, primary: &Ray) -> Pixel {
-    let mut path = Path::default();
-    path.start(primary);
+pub(crate) fn render_pixel<'a>(rays: &mut impl RayQueries<'a>, params: &FrameParams, primary: &RayRecord) -> Pixel {
+    let mut path = RayTree::default();
+    path.reset(primary);
     let scene = rays.scene();
     while let Some(ray) = path.next_ray() {
         let hit = rays.closest_hit(&ray, params.ray_mask);
-        let Some(met) = path.meet(scene, params, &hit) else { continue };
-        let lit = shining(scene, params).iter().filter_map(|light| met.lit(light));
-        let light = lit.fold(Vec3::ZERO, |sum, lit| sum + lit.seen(rays.transmittance(&lit.ray, params.ray_mask)));
+        let Some(met) = path.record_hit(scene, params, &hit) else { continue };
+        let lit = active_lights(scene, params).iter().filter_map(|light| met.light_sample(light));
+        let light = lit.fold(Vec3::ZERO, |sum, lit| sum + lit.radiance(rays.transmittance(&lit.ray, params.ray_mask)));
         path.shade(params, &met, light);
     }
     path.finish(params)
 }
 
 /// The lights that are on.
-pub(crate) fn shining<'a>(scene: &KernelScene<'a>, params: &FrameParams) -> &'a [Light] {
+pub(crate) fn active_lights<'a>(scene: &KernelScene<'a>, params: &FrameParams) -> &'a [LightRecord] {
     &scene.lights[..scene.lights.len().min(params.light_count as usize)]
 }
 
-impl Default for Path {
+impl Default for RayTree {
     /// Nothing is to be traced.
     fn default() -> Self {
         let nowhere =
-            PendingRay { origin: Vec3::ZERO, depth: 0, direction: Vec3::ZERO, layers: 0, throughput: Vec3::ZERO };
-        Self { pixel: Pixel::NOTHING, color: Vec3::ZERO, traced: 0, pending_count: 0, pending: [nowhere; MAX_PENDING] }
+            PendingRay { origin: Vec3::ZERO, bounces: 0, direction: Vec3::ZERO, layers: 0, throughput: Vec3::ZERO };
+        Self {
+            pixel: Pixel::MISS,
+            color: Vec3::ZERO,
+            traced_rays: 0,
+            pending_count: 0,
+            pending: [nowhere; MAX_PENDING],
+        }
     }
 }
 
-impl Path {
+impl RayTree {
     /// Forgets all and begins with a ray through the pixel.
-    pub(crate) fn start(&mut self, primary: &Ray) {
+    pub(crate) fn reset(&mut self, primary: &RayRecord) {
         let [origin, direction] = [primary.origin, primary.direction].map(Vec3::from_array);
-        (self.pixel, self.color, self.traced) = (Pixel::NOTHING, Vec3::ZERO, 0);
-        self.pending[0] = PendingRay { origin, depth: 0, direction, layers: 0, throughput: Vec3::ONE };
+        (self.pixel, self.color, self.traced_rays) = (Pixel::MISS, Vec3::ZERO, 0);
+        self.pending[0] = PendingRay { origin, bounces: 0, direction, layers: 0, throughput: Vec3::ONE };
         self.pending_count = 1;
     }
 
-    /// The ray that is to be traced now; then [`meet`](Self::meet) is told what it hits, and where that is a surface,
+    /// The ray that is to be traced now; then [`record_hit`](Self::record_hit) is told what it hits, and where that is a surface,
     /// [`shade`](Self::shade) what light it gets. None where nothing is to be traced any more.
-    pub(crate) fn next_ray(&mut self) -> Option<Ray> {
-        if self.traced == MAX_RAYS {
+    pub(crate) fn next_ray(&mut self) -> Option<RayRecord> {
+        if self.traced_rays == MAX_RAYS {
             return None;
         }
         self.pending_count = self.pending_count.checked_sub(1)?;
         let PendingRay { origin, direction, .. } = self.pending[self.pending_count];
-        Some(Ray { origin: origin.to_array(), t_min: 0.0, direction: direction.to_array(), t_max: f32::MAX })
+        Some(RayRecord { origin: origin.to_array(), t_min: 0.0, direction: direction.to_array(), t_max: f32::MAX })
     }
 
     /// The ray has hit that: either the sky, which is seen at once, or a surface.
-    pub(crate) fn meet(&mut self, scene: &KernelScene<'_>, params: &FrameParams, hit: &Hit) -> Option<Met> {
+    pub(crate) fn record_hit(
+        &mut self,
+        scene: &KernelScene<'_>,
+        params: &FrameParams,
+        hit: &HitRecord,
+    ) -> Option<SurfaceHit> {
         let ray = self.pending[self.pending_count];
-        self.traced += 1;
+        self.traced_rays += 1;
         if hit.instance == NONE {
             self.color += ray.throughput * sky_radiance(params, ray.direction);
             return None;
         }
         let surface = surface_at(scene, hit, ray.direction);
-        if self.traced == 1 {
-            let [slot, version] = scene.instances[hit.instance as usize].node;
+        if self.traced_rays == 1 {
+            let [slot, version] = scene.instances[hit.instance as usize].node_key;
             self.pixel.normal = surface.normal;
-            self.pixel.depth = hit.t;
+            self.pixel.distance = hit.t;
             self.pixel.ids = [slot, version, hit.primitive, hit.instance];
         }
-        Some(Met { ray, surface })
+        Some(SurfaceHit { ray, surface })
     }
 
     /// Adds what the surface sends back along the ray, `light` of it from lights, and the rays that must be traced to know the
     /// rest. What lies behind a blended surface comes last, so that nothing of this surface waits while it is traced: see
     /// [`MAX_PENDING`].
-    pub(crate) fn shade(&mut self, params: &FrameParams, Met { ray, surface }: &Met, light: Vec3) {
+    pub(crate) fn shade(&mut self, params: &FrameParams, SurfaceHit { ray, surface }: &SurfaceHit, light: Vec3) {
         // 1. Alpha divides the light between what lies behind and the surface.
         let mut throughput = ray.throughput;
         if surface.flags.contains(MaterialFlags::BLEND) {
             let alpha = surface.base_color.w;
-            let origin = leave(surface, ray.direction);
+            let origin = offset_ray_origin(surface, ray.direction);
             let behind = PendingRay { origin, layers: ray.layers + 1, throughput: throughput * (1.0 - alpha), ..*ray };
-            self.follow(params, behind);
+            self.push_ray(params, behind);
             throughput *= alpha;
         }
         if surface.flags.contains(MaterialFlags::UNLIT) {
@@ -200,35 +211,35 @@ impl Path {
         // 2. Light from the surface itself, from lights, and from the sky.
         let to_viewer = -ray.direction;
         let cosine = dot3(surface.normal, to_viewer);
-        let eta = eta_at(surface);
-        let shares = divide_light(surface, cosine, eta);
-        let mirrored = raise(surface.normal * (2.0 * cosine) - to_viewer, surface.geometric_normal);
-        let sharp = sharpness(surface.roughness);
-        let mut radiance = surface.emissive + shares.matt * sky_ambient(params, surface.normal);
+        let eta = relative_ior(surface);
+        let shares = lobe_weights(surface, cosine, eta);
+        let mirrored = clamp_cosine(surface.normal * (2.0 * cosine) - to_viewer, surface.geometric_normal);
+        let sharp = traced_reflection_share(surface.roughness);
+        let mut radiance = surface.emissive + shares.diffuse * sky_irradiance_over_pi(params, surface.normal);
         if sharp < 1.0 {
-            radiance += shares.mirrored * (sky_blurred(params, mirrored, surface.roughness) * (1.0 - sharp));
+            radiance += shares.specular_reflection * (sky_blurred(params, mirrored, surface.roughness) * (1.0 - sharp));
         }
         radiance += light;
         self.color += throughput * radiance;
 
         // 3. Light through the surface, and light mirrored by it.
-        let depth = ray.depth + 1;
+        let depth = ray.bounces + 1;
         if surface.transmission > 0.0 {
             let direction = refracted_direction(surface, ray.direction, cosine, eta);
-            let origin = leave(surface, direction);
-            let throughput = throughput * shares.refracted;
-            self.follow(params, PendingRay { origin, depth, direction, layers: 0, throughput });
+            let origin = offset_ray_origin(surface, direction);
+            let throughput = throughput * shares.specular_transmission;
+            self.push_ray(params, PendingRay { origin, bounces: depth, direction, layers: 0, throughput });
         }
         if sharp > 0.0 {
-            let origin = leave(surface, mirrored);
-            let throughput = throughput * (shares.mirrored * sharp);
-            self.follow(params, PendingRay { origin, depth, direction: mirrored, layers: 0, throughput });
+            let origin = offset_ray_origin(surface, mirrored);
+            let throughput = throughput * (shares.specular_reflection * sharp);
+            self.push_ray(params, PendingRay { origin, bounces: depth, direction: mirrored, layers: 0, throughput });
         }
     }
 
     /// Lets a ray wait to be traced; one that is too deep or carries too little sees the sky at once.
-    fn follow(&mut self, params: &FrameParams, ray: PendingRay) {
-        let is_deep = ray.depth > params.max_depth.min(MAX_DEPTH) || ray.layers > MAX_LAYERS;
+    fn push_ray(&mut self, params: &FrameParams, ray: PendingRay) {
+        let is_deep = ray.bounces > params.max_depth.min(MAX_DEPTH) || ray.layers > MAX_LAYERS;
         let count = self.pending_count;
         if is_deep || max_component(ray.throughput) < MIN_THROUGHPUT || count == MAX_PENDING {
             self.color += ray.throughput * sky_radiance(params, ray.direction);
@@ -248,8 +259,8 @@ impl Path {
 }
 
 /// Index of refraction of the viewer's side over that of the other, 0 where that is infinite.
-fn eta_at(surface: &Surface) -> f32 {
-    if surface.inside || surface.ior <= 0.0 {
+fn relative_ior(surface: &Surface) -> f32 {
+    if surface.is_inside || surface.ior <= 0.0 {
         return surface.ior;
     }
     1.0 / surface.ior
@@ -261,5 +272,5 @@ fn refracted_direction(surface: &Surface, direction: Vec3, cosine: f32, eta: f32
         return direction;
     }
     let bent = direction * eta + surface.normal * (eta * cosine - refracted_cosine(cosine, eta));
-    raise(unit_or(bent, direction), -surface.geometric_normal)
+    clamp_cosine(normalize_or(bent, direction), -surface.geometric_normal)
 }

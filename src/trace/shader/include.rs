@@ -1,8 +1,8 @@
 //! The kernel's queries as text for an application's own compute shader.
 
-use super::{ARRAY_COUNT, MATERIALS, OPAQUE, SURFACES, Variant};
+use super::{ARRAY_COUNT, KernelVariant, MATERIALS, OPAQUE_STUBS, SURFACES};
 use crate::device::Needs;
-use crate::trace::Layout;
+use crate::trace::Traversal;
 
 /// WGSL with which a compute shader of the application's traces rays through the scene, and what it binds for that.
 ///
@@ -10,14 +10,14 @@ use crate::trace::Layout;
 ///
 /// | | |
 /// |---|---|
-/// | `closest_hit(ray: Ray, ray_mask: u32) -> Hit` | the closest hit; `instance == NONE` for none |
-/// | `any_hit(ray: Ray, ray_mask: u32) -> bool` | whether anything lets no light through |
-/// | `transmittance(ray: Ray, ray_mask: u32) -> vec3<f32>` | how much light gets through |
+/// | `closest_hit(ray: RayRecord, ray_mask: u32) -> Hit` | the closest hit; `instance == NONE` for none |
+/// | `any_hit(ray: RayRecord, ray_mask: u32) -> bool` | whether anything lets no light through |
+/// | `transmittance(ray: RayRecord, ray_mask: u32) -> vec3<f32>` | how much light gets through |
 /// | `surface_at(hit: Hit, direction: vec3<f32>) -> Surface` | position, normals and material, as seen along the direction; only with [`surfaces`](Self::surfaces) |
 /// | `leave(surface: Surface, direction: vec3<f32>) -> vec3<f32>` | where a ray starts that goes on from there; as above |
 ///
-/// with the types `Ray { origin, t_min, direction, t_max }`, whose positions are relative to the
-/// [render origin](crate::Renderer::origin), `Hit { t, u, v, instance, primitive, triangle, back }`, and `Surface { position, normal,
+/// with the types `RayRecord { origin, t_min, direction, t_max }`, whose positions are relative to the
+/// [render origin](crate::Renderer::render_origin), `Hit { t, u, v, instance, primitive, triangle, back }`, and `Surface { position, normal,
 /// geometric_normal, base_color, emissive, metallic, roughness, .. }`. The whole is what frames are traced with: see `shaders/shared/`.
 ///
 /// The names that it declares at module scope are not to be declared again: prefix your own.
@@ -28,11 +28,11 @@ pub struct Include {
     /// Whether the shader asks for surfaces, which takes more bindings.
     pub surfaces: bool,
     /// What the scene needs and how it is bound.
-    pub variant: Variant,
+    pub variant: KernelVariant,
 }
 
 /// The bindings that rays need: both levels, instances and triangles.
-const FOR_HITS: [u32; 4] = [0, 1, 2, 3];
+const HIT_BINDINGS: [u32; 4] = [0, 1, 2, 3];
 /// Of the geometries, which say where wide nodes start.
 const GEOMETRIES: u32 = 4;
 /// Of the lights, which no query asks for.
@@ -41,7 +41,7 @@ const LIGHTS: u32 = 12;
 impl Include {
     /// The text, to stand before or after the application's own.
     pub fn source(&self) -> String {
-        let materials = if self.asks_materials() { &MATERIALS[..] } else { &OPAQUE[..] };
+        let materials = if self.reads_materials() { &MATERIALS[..] } else { &OPAQUE_STUBS[..] };
         let surfaces = if self.surfaces { &SURFACES[..] } else { &[] };
         let source =
             self.variant.preamble() + &[&self.variant.scene_files()[..], materials, surfaces].concat().concat();
@@ -52,14 +52,14 @@ impl Include {
     pub fn bindings(&self) -> Vec<u32> {
         let arrays = (0..ARRAY_COUNT).filter(|binding| match *binding {
             LIGHTS => false,
-            GEOMETRIES if self.variant.layout == Layout::Wide => true,
-            other => self.asks_materials() || FOR_HITS.contains(&other),
+            GEOMETRIES if self.variant.traversal == Traversal::Wide => true,
+            other => self.reads_materials() || HIT_BINDINGS.contains(&other),
         });
-        arrays.chain(ARRAY_COUNT..ARRAY_COUNT + self.variant.splits.more_bindings()).collect()
+        arrays.chain(ARRAY_COUNT..ARRAY_COUNT + self.variant.splits.extra_bindings()).collect()
     }
 
     /// Whether anything depends on what a material is.
-    fn asks_materials(&self) -> bool {
+    fn reads_materials(&self) -> bool {
         self.surfaces || self.variant.needs.intersects(Needs::ALPHA_MASK | Needs::BLEND | Needs::REFRACTION)
     }
 }

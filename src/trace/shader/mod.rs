@@ -7,9 +7,9 @@ use std::fmt::Write as _;
 
 pub use include::Include;
 pub(crate) use splits::ARRAY_COUNT;
-pub use splits::{Split, Splits};
+pub use splits::{ArraySplit, ArraySplits};
 
-use super::Layout;
+use super::Traversal;
 use crate::device::{MAX_MIRROR_ROUGHNESS, Needs};
 
 /// The kernels.
@@ -27,27 +27,27 @@ pub enum EntryPoint {
 
 /// What tells one module of an entry point from another.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub struct Variant {
+pub struct KernelVariant {
     /// What it can do.
     pub needs: Needs,
     /// What it walks.
-    pub layout: Layout,
+    pub traversal: Traversal,
     /// How the arrays are bound.
-    pub splits: Splits,
+    pub splits: ArraySplits,
 }
 
-impl From<Needs> for Variant {
+impl From<Needs> for KernelVariant {
     fn from(needs: Needs) -> Self {
         Self { needs, ..Self::default() }
     }
 }
 
-impl Variant {
+impl KernelVariant {
     /// The files by which the scene is walked.
     fn scene_files(&self) -> [&'static str; 5] {
-        let walk = match self.layout {
-            Layout::Rope => include_str!("../../../shaders/shared/rope.wgsl"),
-            Layout::Wide => include_str!("../../../shaders/shared/wide.wgsl"),
+        let walk = match self.traversal {
+            Traversal::Rope => include_str!("../../../shaders/shared/rope.wgsl"),
+            Traversal::Wide => include_str!("../../../shaders/shared/wide.wgsl"),
         };
         let [types, math, intersect, traverse] = SCENE;
         [types, math, intersect, walk, traverse]
@@ -63,7 +63,7 @@ impl Variant {
         }
         // A float literal needs its point in WGSL: `{:?}` writes it.
         let _ = writeln!(source, "const MAX_MIRROR_ROUGHNESS: f32 = {MAX_MIRROR_ROUGHNESS:?};");
-        source + &self.splits.source(self.layout)
+        source + &self.splits.source(self.traversal)
     }
 }
 
@@ -80,7 +80,7 @@ const MATERIALS: [&str; 2] =
     [include_str!("../../../shaders/shared/texture.wgsl"), include_str!("../../../shaders/shared/material.wgsl")];
 
 /// What stands in for that where everything is.
-const OPAQUE: [&str; 1] = [include_str!("../../../shaders/shared/opaque.wgsl")];
+const OPAQUE_STUBS: [&str; 1] = [include_str!("../../../shaders/shared/opaque.wgsl")];
 
 /// What lies at a hit.
 const SURFACES: [&str; 2] =
@@ -110,7 +110,7 @@ impl EntryPoint {
     }
 
     /// The module's source, of a kernel that can do what its variant says.
-    pub fn source(self, variant: impl Into<Variant>) -> String {
+    pub fn source(self, variant: impl Into<KernelVariant>) -> String {
         let shading = match self {
             Self::Render | Self::RenderAovs => [&SURFACES[..], &SHADING[..]].concat(),
             Self::ClosestHits | Self::AnyHits => Vec::new(),

@@ -33,7 +33,7 @@ impl Expected {
     pub(crate) fn largest_ball(&mut self) -> (NodeKey, [u32; 2]) {
         let image = self.render();
         let balls = self.scene.find("balls").unwrap();
-        let nodes: Vec<NodeKey> = self.scene.descendants(balls).unwrap().collect();
+        let nodes: Vec<NodeKey> = self.scene.subtree(balls).unwrap().collect();
         let is_ball = |node: &NodeKey| matches!(self.scene.core(*node), Ok(Core::Geometry { .. }));
         let ball = nodes.into_iter().filter(is_ball).max_by_key(|&ball| pixels_of(&image, ball).len()).unwrap();
         let pixels = pixels_of(&image, ball);

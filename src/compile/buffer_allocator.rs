@@ -1,0 +1,94 @@
+//! Where in a device buffer each thing lives.
+
+use std::fmt;
+use std::ops::Range;
+
+use bytemuck::Pod;
+use range_alloc::RangeAllocator;
+
+use crate::device::DeviceBuffer;
+use crate::{Error, Result};
+
+/// Hands out ranges of one [`DeviceBuffer`]; a released range is used again, best fit first.
+pub(super) struct BufferAllocator {
+    array_name: &'static str,
+    allocator: RangeAllocator<u32>,
+}
+
+impl BufferAllocator {
+    /// An arena for the buffer that errors call `what`.
+    pub(super) fn new(what: &'static str) -> Self {
+        // The last index is kept for `layout::NONE`.
+        Self { array_name: what, allocator: RangeAllocator::new(0..u32::MAX) }
+    }
+
+    /// Copies `values` into the buffer and returns where they lie; nothing needs no room.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] beyond 2^32 - 1 elements: an index has 32 bits.
+    pub(super) fn store<T: Pod>(&mut self, buffer: &mut DeviceBuffer<T>, values: &[T]) -> Result<Range<u32>> {
+        if values.is_empty() {
+            return Ok(0..0);
+        }
+        let limit = |needed| Error::Limit { what: self.array_name, needed, limit: u32::MAX.into(), hint: "" };
+        let count = u32::try_from(values.len()).map_err(|_| limit(values.len() as u64))?;
+        let Ok(range) = self.allocator.allocate_range(count) else {
+            return Err(limit(u64::from(count) + buffer.len() as u64));
+        };
+        buffer.write(range.start as usize, values);
+        Ok(range)
+    }
+
+    /// Stores `values` in the place of others: in the same range if that is as long.
+    ///
+    /// # Errors
+    /// As [`store`](Self::store); then the range is empty.
+    pub(super) fn replace<T: Pod>(
+        &mut self,
+        buffer: &mut DeviceBuffer<T>,
+        range: &mut Range<u32>,
+        values: &[T],
+    ) -> Result<()> {
+        if range.len() == values.len() {
+            buffer.write(range.start as usize, values);
+        } else {
+            self.release(buffer, std::mem::take(range));
+            *range = self.store(buffer, values)?;
+        }
+        Ok(())
+    }
+
+    /// Gives a range back. The buffer ends where the last range in use does.
+    pub(super) fn release<T: Pod>(&mut self, buffer: &mut DeviceBuffer<T>, range: Range<u32>) {
+        if range.is_empty() {
+            return;
+        }
+        let at_end = range.end as usize >= buffer.len();
+        self.allocator.free_range(range);
+        if at_end {
+            buffer.truncate(self.allocator.allocated_ranges().last().map_or(0, |r| r.end as usize));
+        }
+    }
+}
+
+/// The parts of `values` in some ranges, which must not overlap; empty for one that does.
+pub(super) fn disjoint_mut<'a, T>(values: &'a mut [T], ranges: &[Range<usize>]) -> Vec<&'a mut [T]> {
+    let mut order: Vec<usize> = (0..ranges.len()).collect();
+    order.sort_unstable_by_key(|&i| ranges[i].start);
+    let mut parts: Vec<&mut [T]> = Vec::new();
+    parts.resize_with(ranges.len(), Default::default);
+    let (mut rest, mut rest_start) = (values, 0);
+    for i in order.into_iter().filter(|&i| !ranges[i].is_empty()) {
+        let range = &ranges[i];
+        let _gap = rest.split_off_mut(..range.start - rest_start);
+        parts[i] = rest.split_off_mut(..range.len()).unwrap_or_default();
+        rest_start = range.end;
+    }
+    parts
+}
+
+impl fmt::Debug for BufferAllocator {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Arena").field("what", &self.array_name).finish_non_exhaustive()
+    }
+}

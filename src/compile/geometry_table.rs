@@ -1,0 +1,287 @@
+//! One bottom-level structure a geometry, kept while some visible node uses the geometry, and kept up with what it becomes.
+
+use std::ops::Range;
+use std::sync::OnceLock;
+
+use rayon::prelude::*;
+use slotmap::SecondaryMap;
+
+use super::buffer_allocator::{BufferAllocator, disjoint_mut};
+use super::closed_surface::is_closed_surface;
+use super::deformation::{BlasAction, BlasBuildReasons, BuildReason, ChangeHistory, MAX_DECAY, choose_action};
+use super::instance_table::Users;
+use super::vertex_streams::{StreamRanges, VertexStreamTable};
+use crate::Result;
+use crate::accel::{Blas, BlasBuildParams, RefitReport, SupportFunction, refit};
+use crate::device::DeviceArrays;
+use crate::graph::{BlasKind, Geometry, GeometryKey, Scene};
+
+/// The bottom-level structures and vertex streams on the device, by geometry key.
+#[derive(Debug)]
+pub(super) struct GeometryTable {
+    entries: SecondaryMap<GeometryKey, GeometryEntry>,
+    /// Of all entries.
+    triangle_count: usize,
+    nodes: BufferAllocator,
+    wide_nodes: BufferAllocator,
+    triangles: BufferAllocator,
+    streams: VertexStreamTable,
+}
+
+/// What is kept of one geometry.
+#[derive(Debug)]
+pub(super) struct GeometryEntry {
+    version: u64,
+    history: ChangeHistory,
+    /// What was built for it.
+    structure: BlasKind,
+    /// The SAH cost of that, from the first refit on.
+    built_cost: Option<f64>,
+    /// In `blas_nodes`; empty for a geometry that nothing can hit.
+    pub(super) nodes: Range<u32>,
+    wide_nodes: Range<u32>,
+    /// In `triangles`.
+    pub(super) triangles: Range<u32>,
+    pub(super) streams: StreamRanges,
+    /// How far its triangles reach, local space.
+    pub(super) support: SupportFunction,
+    /// Whether some triangle is in several leaves.
+    pub(super) has_duplicates: bool,
+    /// The geometry itself: its streams are shared with the scene.
+    geometry: Geometry,
+    encloses: OnceLock<bool>,
+}
+
+impl GeometryEntry {
+    /// Triangles of the geometry; more than `triangles` where some cannot be hit.
+    pub(super) fn triangle_count(&self) -> usize {
+        self.geometry.indices.len()
+    }
+
+    /// Whether the geometry encloses a solid. Found out when first asked for: only transmissive materials do.
+    pub(super) fn encloses(&self) -> bool {
+        *self.encloses.get_or_init(|| is_closed_surface(&self.geometry))
+    }
+}
+
+/// What [`GeometryTable::update`] did.
+#[derive(Clone, Debug, Default)]
+pub(super) struct GeometryUpdate {
+    /// The geometries that are not what they were.
+    pub(super) changed: Vec<GeometryKey>,
+    pub(super) builds: BlasBuildReasons,
+    pub(super) built: BlasTotals,
+    pub(super) refitted: BlasTotals,
+    pub(super) freed: usize,
+}
+
+/// So many structures, with so many triangles.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct BlasTotals {
+    pub(super) structures: usize,
+    pub(super) triangles: usize,
+}
+
+impl BlasTotals {
+    fn add(&mut self, geometry: &Geometry) {
+        self.structures += 1;
+        self.triangles += geometry.indices.len();
+    }
+}
+
+/// A geometry to follow, and what stands for it in the scene.
+type GeometryJob<'a> = (GeometryKey, &'a Geometry);
+
+impl GeometryTable {
+    pub(super) fn new() -> Self {
+        Self {
+            entries: SecondaryMap::new(),
+            triangle_count: 0,
+            nodes: BufferAllocator::new("the bottom-level nodes array"),
+            wide_nodes: BufferAllocator::new("the wide nodes array"),
+            triangles: BufferAllocator::new("the triangles array"),
+            streams: VertexStreamTable::new(),
+        }
+    }
+
+    /// Makes the cache hold exactly the geometries in `used`, as they are: frees the others, refits what has deformed, and builds
+    /// what is missing or has changed otherwise; all at once on all cores. `now` counts compiles.
+    pub(super) fn update(
+        &mut self,
+        scene: &Scene,
+        used: &Users<GeometryKey>,
+        now: u64,
+        arrays: &mut DeviceArrays,
+    ) -> Result<GeometryUpdate> {
+        let mut update = GeometryUpdate::default();
+        // 1. What nobody uses any more.
+        let unused: Vec<GeometryKey> = self.entries.keys().filter(|&key| !used.has(key)).collect();
+        update.freed = unused.len();
+        unused.into_iter().for_each(|key| self.free(key, arrays));
+        // 2. What changed, and what that takes.
+        let (mut to_refit, mut to_build) = (Vec::new(), Vec::new());
+        for key in used.keys() {
+            let (geometry, version) = (scene.geometry(key)?, scene.geometry_version(key)?);
+            let step = match self.entries.get_mut(key) {
+                Some(entry) if entry.version == version => continue,
+                Some(entry) => entry.note_version(geometry, version, now),
+                None => {
+                    self.entries.insert(key, GeometryEntry::empty(version, now));
+                    BlasAction::Build(BuildReason::New)
+                }
+            };
+            match step {
+                BlasAction::Keep => {}
+                BlasAction::Refit => to_refit.push((key, geometry)),
+                BlasAction::Build(reason) => to_build.push(((key, geometry), reason)),
+            }
+            update.changed.push(key);
+        }
+        // 3. Refit, in place; some turn out to need more than that.
+        self.refit(&to_refit, arrays, &mut update, &mut to_build);
+        // 4. Build.
+        self.build(to_build, arrays, &mut update)?;
+        // 5. Streams.
+        for &key in &update.changed {
+            let (geometry, entry) = (scene.geometry(key)?, &mut self.entries[key]);
+            self.streams.write(&mut entry.streams, &entry.geometry, geometry, &entry.wide_nodes, arrays)?;
+            self.triangle_count = self.triangle_count - entry.triangle_count() + geometry.indices.len();
+            entry.geometry = geometry.clone();
+            entry.encloses = OnceLock::new();
+        }
+        Ok(update)
+    }
+
+    /// The entry of a geometry that was in `used` at the last update.
+    pub(super) fn get(&self, key: GeometryKey) -> Option<&GeometryEntry> {
+        self.entries.get(key)
+    }
+
+    /// Triangles of all geometries, each counted once.
+    pub(super) fn triangle_count(&self) -> usize {
+        self.triangle_count
+    }
+
+    /// How many there are.
+    pub(super) fn len(&self) -> usize {
+        self.entries.len()
+    }
+
+    fn refit<'a>(
+        &mut self,
+        jobs: &[GeometryJob<'a>],
+        arrays: &mut DeviceArrays,
+        update: &mut GeometryUpdate,
+        to_build: &mut Vec<(GeometryJob<'a>, BuildReason)>,
+    ) {
+        let ranges = |range: fn(&GeometryEntry) -> &Range<u32>| -> Vec<Range<usize>> {
+            let ranges = jobs.iter().map(|&(key, _)| range(&self.entries[key]));
+            ranges.map(|range| range.start as usize..range.end as usize).collect()
+        };
+        let (node_ranges, triangle_ranges) = (ranges(|entry| &entry.nodes), ranges(|entry| &entry.triangles));
+        let wide_ranges = ranges(|entry| &entry.wide_nodes);
+        // 1. All at once.
+        let nodes = disjoint_mut(arrays.blas_nodes.as_mut_slice_without_marking(), &node_ranges);
+        let wide_nodes = disjoint_mut(arrays.wide_nodes.as_mut_slice_without_marking(), &wide_ranges);
+        let triangles = disjoint_mut(arrays.triangles.as_mut_slice_without_marking(), &triangle_ranges);
+        let refitted: Vec<Option<(RefitReport, SupportFunction)>> = (jobs.par_iter(), nodes, wide_nodes, triangles)
+            .into_par_iter()
+            .map(|(&(_, geometry), nodes, wide_nodes, triangles)| {
+                let refitted = refit(nodes, wide_nodes, triangles, geometry, BlasBuildParams::default().triangle_cost)?;
+                let support = SupportFunction::coarse(nodes, triangles, refitted.bounds);
+                Some((refitted, support))
+            })
+            .collect();
+        // 2. What came of it.
+        let ranges = node_ranges.into_iter().zip(wide_ranges).zip(triangle_ranges);
+        for ((job, refitted), ((nodes, wide_nodes), triangles)) in jobs.iter().zip(refitted).zip(ranges) {
+            let Some((refitted, support)) = refitted else {
+                // Some of it may have been written.
+                arrays.blas_nodes.mark_dirty(nodes);
+                arrays.wide_nodes.mark_dirty(wide_nodes);
+                arrays.triangles.mark_dirty(triangles);
+                to_build.push((*job, BuildReason::TrianglesChanged));
+                continue;
+            };
+            let within = |range: Range<usize>, of: &Range<usize>| of.start + range.start..of.start + range.end;
+            refitted.changed_nodes.into_iter().for_each(|range| arrays.blas_nodes.mark_dirty(within(range, &nodes)));
+            refitted
+                .changed_wide_nodes
+                .into_iter()
+                .for_each(|range| arrays.wide_nodes.mark_dirty(within(range, &wide_nodes)));
+            refitted
+                .changed_triangles
+                .into_iter()
+                .for_each(|range| arrays.triangles.mark_dirty(within(range, &triangles)));
+            let entry = &mut self.entries[job.0];
+            entry.support = support;
+            let built_cost = *entry.built_cost.get_or_insert(refitted.old_cost);
+            if refitted.cost > built_cost * MAX_DECAY {
+                to_build.push((*job, BuildReason::CostGrown));
+            } else {
+                update.refitted.add(job.1);
+            }
+        }
+    }
+
+    fn build(
+        &mut self,
+        jobs: Vec<(GeometryJob<'_>, BuildReason)>,
+        arrays: &mut DeviceArrays,
+        update: &mut GeometryUpdate,
+    ) -> Result<()> {
+        let build = |&((key, geometry), _): &(GeometryJob<'_>, BuildReason)| {
+            let structure = self.entries[key].history.structure(geometry);
+            let blas = Blas::build(geometry, &BlasBuildParams::new(structure))?;
+            Ok((structure, SupportFunction::new(&blas), blas))
+        };
+        let built: Vec<(BlasKind, SupportFunction, Blas)> = jobs.par_iter().map(build).collect::<Result<_>>()?;
+        for (((key, geometry), reason), (structure, support, blas)) in jobs.into_iter().zip(built) {
+            update.builds.count(reason);
+            update.built.add(geometry);
+            let entry = &mut self.entries[key];
+            self.nodes.replace(&mut arrays.blas_nodes, &mut entry.nodes, &blas.nodes)?;
+            self.wide_nodes.replace(&mut arrays.wide_nodes, &mut entry.wide_nodes, &blas.wide_nodes)?;
+            self.triangles.replace(&mut arrays.triangles, &mut entry.triangles, &blas.triangles)?;
+            (entry.structure, entry.built_cost, entry.support) = (structure, None, support);
+            entry.has_duplicates = blas.has_duplicates;
+        }
+        Ok(())
+    }
+
+    fn free(&mut self, key: GeometryKey, arrays: &mut DeviceArrays) {
+        let Some(entry) = self.entries.remove(key) else { return };
+        self.triangle_count -= entry.triangle_count();
+        self.nodes.release(&mut arrays.blas_nodes, entry.nodes);
+        self.wide_nodes.release(&mut arrays.wide_nodes, entry.wide_nodes);
+        self.triangles.release(&mut arrays.triangles, entry.triangles);
+        self.streams.release(entry.streams, arrays);
+    }
+}
+
+impl GeometryEntry {
+    /// Of a geometry that nothing was done for yet.
+    fn empty(version: u64, now: u64) -> Self {
+        Self {
+            version,
+            history: ChangeHistory::new(now),
+            structure: BlasKind::default(),
+            built_cost: None,
+            nodes: 0..0,
+            wide_nodes: 0..0,
+            triangles: 0..0,
+            streams: StreamRanges::default(),
+            support: SupportFunction::default(),
+            has_duplicates: false,
+            geometry: Geometry::default(),
+            encloses: OnceLock::new(),
+        }
+    }
+
+    /// Takes note of another version of the geometry. What it takes to follow it.
+    fn note_version(&mut self, geometry: &Geometry, version: u64, now: u64) -> BlasAction {
+        self.version = version;
+        self.history.change(now);
+        choose_action(self.structure, &self.geometry, geometry)
+    }
+}

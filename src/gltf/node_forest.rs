@@ -1,0 +1,139 @@
+//! The node hierarchy: a forest, or an error.
+
+use std::path::Path;
+
+use ::gltf::json;
+use glam::DAffine3;
+
+use super::error_at;
+use crate::Result;
+use crate::graph::Transform;
+
+/// Who is whose child; proven to be a forest.
+pub(super) struct NodeForest {
+    /// The parent of each node.
+    pub(super) parents: Vec<Option<usize>>,
+    /// All nodes, parents before children.
+    order: Vec<usize>,
+}
+
+impl NodeForest {
+    /// Checks that no node has two parents or is its own ancestor, and that scenes list root nodes, each once. O(nodes).
+    pub(super) fn new(nodes: &[json::Node], scenes: &[json::Scene], path: &Path) -> Result<Self> {
+        let mut parents = vec![None; nodes.len()];
+        for (parent, node) in nodes.iter().enumerate() {
+            for (k, child) in children(node).enumerate() {
+                if let Some(other) = parents[child].replace(parent) {
+                    let cause = format!("node {child} already is a child of node {other}: a node has one parent");
+                    return Err(error_at(path, format!("/nodes/{parent}/children/{k}"), cause));
+                }
+            }
+        }
+
+        let order = topological_order(nodes, &parents);
+        if order.len() < nodes.len() {
+            // With one parent each, the nodes that no root reaches are on or below a cycle.
+            let mut reached = vec![false; nodes.len()];
+            order.iter().for_each(|&i| reached[i] = true);
+            let lost = reached.iter().position(|&r| !r).unwrap_or(0);
+            return Err(error_at(
+                path,
+                format!("/nodes/{lost}"),
+                "is its own ancestor, or below one: the nodes form a cycle",
+            ));
+        }
+        check_scenes(scenes, &parents, path)?;
+        Ok(Self { parents, order })
+    }
+
+    /// The nodes without a parent: what is shown of a file that has no scene.
+    pub(super) fn roots(&self) -> Vec<usize> {
+        (0..self.parents.len()).filter(|&i| self.parents[i].is_none()).collect()
+    }
+
+    /// The matrix from each node's space to that of its root's parent: the scene. O(nodes).
+    pub(super) fn scene_from_node(&self, transforms: &[Transform]) -> Vec<DAffine3> {
+        let mut world = vec![DAffine3::IDENTITY; transforms.len()];
+        for &i in &self.order {
+            let local = transforms[i].to_affine();
+            world[i] = self.parents[i].map_or(local, |parent| world[parent] * local);
+        }
+        world
+    }
+}
+
+/// The indices of a node's children; [`references`](super::references) has checked them.
+pub(super) fn children(node: &json::Node) -> impl DoubleEndedIterator<Item = usize> {
+    node.children.iter().flatten().map(json::Index::value)
+}
+
+fn topological_order(nodes: &[json::Node], parents: &[Option<usize>]) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..nodes.len()).filter(|&i| parents[i].is_none()).collect();
+    let mut next = 0;
+    while let Some(&i) = order.get(next) {
+        order.extend(children(&nodes[i]));
+        next += 1;
+    }
+    order
+}
+
+fn check_scenes(scenes: &[json::Scene], parents: &[Option<usize>], path: &Path) -> Result<()> {
+    let mut last_scene = vec![None; parents.len()];
+    for (s, scene) in scenes.iter().enumerate() {
+        for (k, node) in scene.nodes.iter().map(json::Index::value).enumerate() {
+            let object = || format!("/scenes/{s}/nodes/{k}");
+            if let Some(parent) = parents[node] {
+                let cause = format!("node {node} is a child of node {parent}, so it cannot be a root too");
+                return Err(error_at(path, object(), cause));
+            }
+            if last_scene[node].replace(s) == Some(s) {
+                return Err(error_at(path, object(), format!("node {node} is listed twice")));
+            }
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+    use serde::Deserialize;
+    use serde_json::json;
+
+    fn hierarchy(nodes: serde_json::Value, scenes: serde_json::Value) -> Result<NodeForest> {
+        let nodes = Vec::<json::Node>::deserialize(nodes).unwrap();
+        let scenes = Vec::<json::Scene>::deserialize(scenes).unwrap();
+        NodeForest::new(&nodes, &scenes, Path::new("a.gltf"))
+    }
+
+    #[test]
+    fn forests_only() {
+        let forest = json!([{"children": [2]}, {}, {"children": [3]}, {}]);
+        assert_eq!(hierarchy(forest.clone(), json!([{"nodes": [0, 1]}, {"nodes": [1]}])).unwrap().roots(), [0, 1]);
+
+        for (nodes, scenes, cause) in [
+            (json!([{"children": [0]}]), json!([]), "cycle"),
+            (json!([{"children": [1]}, {"children": [2]}, {"children": [0]}]), json!([]), "cycle"),
+            (json!([{}, {"children": [2]}, {"children": [1]}]), json!([]), "cycle"),
+            (json!([{"children": [2]}, {"children": [2]}, {}]), json!([]), "one parent"),
+            (json!([{"children": [1, 1]}, {}]), json!([]), "one parent"),
+            (forest.clone(), json!([{"nodes": [0, 2]}]), "cannot be a root"),
+            (forest, json!([{"nodes": [1, 1]}]), "twice"),
+        ] {
+            let error = hierarchy(nodes, scenes).err().unwrap().to_string();
+            assert!(error.contains(cause), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_long_chain_needs_no_stack() {
+        let count = 200_000;
+        let nodes = (0..count)
+            .map(|i| if i + 1 < count { json!({"children": [i + 1], "translation": [1, 0, 0]}) } else { json!({}) })
+            .collect();
+        let chain = hierarchy(nodes, json!([])).unwrap();
+        let transforms = vec![Transform::from_translation(DVec3::X); count];
+        assert_eq!(chain.scene_from_node(&transforms)[count - 1].translation, DVec3::new(count as f64, 0.0, 0.0));
+    }
+}

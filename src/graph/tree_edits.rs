@@ -1,0 +1,247 @@
+//! Edits of the tree: add, remove, reparent; and what every node has: name, mask, visibility.
+
+use glam::{DAffine3, DVec3};
+
+use super::changes::Change;
+use super::node::Node;
+use super::{Core, CoreSource, KeepTransform, NodeKey, Scene, Transform};
+use crate::{Error, Result};
+
+/// The tree.
+impl Scene {
+    /// Adds a node as the last child of `parent`: visible, with all bits of its mask set and an empty name. O(1).
+    ///
+    /// # Errors
+    /// [`Error::StaleKey`] for the parent or what the core refers to; [`Error::OutOfRange`] for a bad number in a new
+    /// core; [`Error::Cycle`] if the core instances the parent, or something that shows it.
+    pub fn add(&mut self, parent: NodeKey, core: impl Into<CoreSource>) -> Result<NodeKey> {
+        self.node(parent)?;
+        let source = core.into();
+        if let CoreSource::New(core @ Core::Instance(_)) = &source {
+            self.check_core(core)?;
+            self.check_instance_cycle(parent, core)?;
+        } else if let CoreSource::Shared(key) = source {
+            self.check_instance_cycle(parent, self.core_by_key(key)?)?;
+        }
+        let core = self.insert_or_share_core(source)?;
+        let node = self.nodes.insert(Node::new(core));
+        self.link_user(node, core);
+        self.link_child(node, parent);
+        self.hierarchy.node_attached(node);
+        self.record(node, Change::ADDED);
+        self.children_changed(parent);
+        Ok(node)
+    }
+
+    /// Removes a node and everything below it, and frees the cores, geometries, materials and textures that only these
+    /// used. Instances of what is removed become groups. O(nodes removed).
+    ///
+    /// # Errors
+    /// [`Error::StaleKey`]; [`Error::Root`] for the root.
+    pub fn remove(&mut self, node: NodeKey) -> Result<()> {
+        self.node(node)?;
+        if node == self.root {
+            return Err(Error::Root { attempt: "removed" });
+        }
+        if !self.instancers.is_empty() {
+            let nodes: Vec<NodeKey> = self.subtree(node)?.collect();
+            nodes.into_iter().try_for_each(|node| self.replace_instances_by_groups(node))?;
+        }
+        self.hierarchy.subtree_removed(node);
+        let parent = self.nodes[node].parent;
+        self.unlink_child(node);
+        parent.into_iter().for_each(|parent| self.children_changed(parent));
+
+        // Bottom up, so that a node's links are there as long as they are needed.
+        let mut current = self.first_leaf(node);
+        loop {
+            let (parent, next) = (self.nodes[current].parent, self.nodes[current].next_sibling);
+            self.release_node(current);
+            if current == node {
+                return Ok(());
+            }
+            current = match (next, parent) {
+                (Some(sibling), _) => self.first_leaf(sibling),
+                (None, Some(parent)) => parent,
+                (None, None) => return Ok(()),
+            };
+        }
+    }
+
+    /// Makes `node` the last child of `parent`, with everything below it. Its current parent changes nothing, its
+    /// place among its siblings included. O(depth), to find cycles; O(all that shows it) where something
+    /// is instanced.
+    ///
+    /// With [`KeepTransform::World`] the node gets the local transform that leaves its world transform as it is, up to
+    /// rounding, as a matrix. Where others share its transform core, it gets one of its own first, and the others stay
+    /// where they are.
+    ///
+    /// # Errors
+    /// [`Error::StaleKey`]; [`Error::Root`] for the root; [`Error::Cycle`] if `parent` is `node`, or below it, or shown
+    /// by an instance below it. With
+    /// [`KeepTransform::World`] also [`Error::WrongCore`] if the node has no transform, and [`Error::Singular`] if the new
+    /// parent's world transform cannot be inverted: some scale above it is 0, or too large or small for f64.
+    pub fn reparent(&mut self, node: NodeKey, parent: NodeKey, keep: KeepTransform) -> Result<()> {
+        self.node(node)?;
+        self.node(parent)?;
+        if node == self.root {
+            return Err(Error::Root { attempt: "moved" });
+        }
+        if self.is_ancestor_or_self(node, parent) {
+            return Err(Error::Cycle { node: node.into(), parent: parent.into() });
+        }
+        let local = match keep {
+            KeepTransform::Local => None,
+            KeepTransform::World => self.local_transform_under(node, parent)?,
+        };
+        let old_parent = self.nodes[node].parent;
+        if old_parent != Some(parent) {
+            self.unlink_child(node);
+            self.link_child(node, parent);
+            self.hierarchy.node_attached(node);
+            self.record(node, Change::PARENT);
+            old_parent.into_iter().chain([parent]).for_each(|parent| self.children_changed(parent));
+        }
+        match local {
+            None => Ok(()),
+            Some(local) => self.set_own_local(node, local),
+        }
+    }
+
+    /// The local transform with which `node` would be below `parent` where it is now; `None` for the one it has.
+    fn local_transform_under(&self, node: NodeKey, parent: NodeKey) -> Result<Option<Transform>> {
+        self.local(node)?;
+        let old_parent_world = self.world_from_parent(node)?;
+        let parent_world = self.world_from_local(parent)?;
+        if parent_world == old_parent_world {
+            return Ok(None);
+        }
+        let world = self.world_from_local(node)?;
+        let local = parent_world.inverse() * world;
+        if preserves_world(&parent_world, &local, &world) {
+            Ok(Some(Transform::Matrix(local)))
+        } else {
+            Err(Error::Singular { node: parent.into() })
+        }
+    }
+
+    /// The name; empty if it has none.
+    ///
+    /// # Errors
+    /// [`Error::StaleKey`].
+    pub fn name(&self, node: NodeKey) -> Result<&str> {
+        Ok(&self.node(node)?.name)
+    }
+
+    /// Names a node. Names need not be unique.
+    ///
+    /// # Errors
+    /// [`Error::StaleKey`].
+    pub fn set_name(&mut self, node: NodeKey, name: impl Into<Box<str>>) -> Result<()> {
+        let name = name.into();
+        if *self.node(node)?.name != *name {
+            self.save_prior_state(node);
+            self.nodes[node].name = name;
+            self.record(node, Change::NAME);
+        }
+        Ok(())
+    }
+
+    /// The node's own traversal mask. Rays see what is below it if they share a bit with it and with all masks above
+    /// it.
+    ///
+    /// # Errors
+    /// [`Error::StaleKey`].
+    pub fn mask(&self, node: NodeKey) -> Result<u32> {
+        Ok(self.node(node)?.mask)
+    }
+
+    /// Sets the node's own traversal mask.
+    ///
+    /// # Errors
+    /// [`Error::StaleKey`].
+    pub fn set_mask(&mut self, node: NodeKey, mask: u32) -> Result<()> {
+        if self.node(node)?.mask != mask {
+            self.save_prior_state(node);
+            self.nodes[node].mask = mask;
+            self.node_changed(node);
+            self.record(node, Change::MASK);
+        }
+        Ok(())
+    }
+
+    /// Whether the node itself is shown. It is seen only if everything above it is shown too.
+    ///
+    /// # Errors
+    /// [`Error::StaleKey`].
+    pub fn is_visible(&self, node: NodeKey) -> Result<bool> {
+        Ok(self.node(node)?.visible)
+    }
+
+    /// Shows or hides a node with everything below it.
+    ///
+    /// # Errors
+    /// [`Error::StaleKey`].
+    pub fn set_visible(&mut self, node: NodeKey, visible: bool) -> Result<()> {
+        if self.node(node)?.visible != visible {
+            self.save_prior_state(node);
+            self.nodes[node].visible = visible;
+            self.node_changed(node);
+            self.record(node, Change::VISIBILITY);
+        }
+        Ok(())
+    }
+
+    /// Sets the transform of this node only: a core that others share is replaced by one of its own, if it differs.
+    fn set_own_local(&mut self, node: NodeKey, local: Transform) -> Result<()> {
+        let slot = &self.cores[self.nodes[node].core];
+        if slot.user_count > 1 && slot.core != Core::Transform(local) {
+            self.set_core(node, Core::Transform(local))
+        } else {
+            self.set_local(node, local)
+        }
+    }
+
+    /// Notes that a child came, went or changed places.
+    pub(super) fn children_changed(&mut self, parent: NodeKey) {
+        if matches!(self.cores[self.nodes[parent].core].core, Core::Switch(_)) {
+            self.hierarchy.switch_changed(parent);
+        }
+        self.record(parent, Change::CHILDREN);
+    }
+
+    /// The first node without children below `node`, going down by first children.
+    fn first_leaf(&self, mut node: NodeKey) -> NodeKey {
+        while let Some(child) = self.nodes[node].first_child {
+            node = child;
+        }
+        node
+    }
+
+    /// Frees an unlinked node and its use of its core.
+    fn release_node(&mut self, node: NodeKey) {
+        self.save_prior_state(node);
+        self.record(node, Change::REMOVED);
+        let core = self.nodes[node].core;
+        self.unlink_user(node, core);
+        self.nodes.remove(node);
+        self.release_core_if_unused(core);
+    }
+}
+
+/// Whether `parent * local` is `world` up to rounding: each axis relative to its own length, the place relative to its
+/// distance.
+fn preserves_world(parent: &DAffine3, local: &DAffine3, world: &DAffine3) -> bool {
+    /// Far above rounding, far below what can be seen.
+    const TOLERANCE: f64 = 1e-6;
+
+    let result = *parent * *local;
+    let close = |a: DVec3, b: DVec3, extent: f64| (a - b).abs().max_element() <= TOLERANCE * extent;
+    let axis_kept = |i| {
+        let axis = world.matrix3.col(i);
+        close(result.matrix3.col(i), axis, axis.abs().max_element())
+    };
+    let extent = world.translation.abs().max_element().max(parent.translation.abs().max_element());
+    let finite = [local, world, &result].into_iter().all(DAffine3::is_finite);
+    finite && (0..3).all(axis_kept) && close(result.translation, world.translation, extent)
+}

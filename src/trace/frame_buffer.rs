@@ -1,0 +1,77 @@
+//! A frame as the kernel writes it, before it becomes an [`Image`].
+
+use slotmap::KeyData;
+
+use super::kernel::Pixel;
+use crate::device::layout::NONE;
+use crate::graph::NodeKey;
+use crate::image::{Aovs, Image};
+use crate::{Error, Result};
+
+/// What the kernel writes for each pixel, row by row from the top.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct FrameBuffer {
+    pub width: u32,
+    pub height: u32,
+    pub color: Vec<[f32; 4]>,
+    pub aovs: Option<AovBuffers>,
+}
+
+/// What the kernel writes besides the colour.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct AovBuffers {
+    /// Normal, then depth: `f32::MAX` where nothing was met.
+    pub normal_depth: Vec<[f32; 4]>,
+    /// Node slot, node version, primitive and instance.
+    pub ids: Vec<[u32; 4]>,
+}
+
+/// The most pixels in one frame: 12 GiB with AOVs.
+const MAX_PIXELS: u64 = 1 << 28;
+
+impl FrameBuffer {
+    /// Room for a frame, without pixels yet.
+    pub(crate) fn new(width: u32, height: u32, aovs: bool) -> Result<Self> {
+        let pixels = Self::check_size(width, height)?;
+        let aovs =
+            aovs.then(|| AovBuffers { normal_depth: Vec::with_capacity(pixels), ids: Vec::with_capacity(pixels) });
+        Ok(Self { width, height, color: Vec::with_capacity(pixels), aovs })
+    }
+
+    /// The number of pixels of a frame, if it is one that can be rendered.
+    pub(crate) fn check_size(width: u32, height: u32) -> Result<usize> {
+        let needed = u64::from(width) * u64::from(height);
+        if needed > MAX_PIXELS {
+            let hint = "; render the image in parts";
+            return Err(Error::Limit { what: "the image (pixels)", needed, limit: MAX_PIXELS, hint });
+        }
+        Ok(needed as usize)
+    }
+
+    /// Adds the next pixel.
+    pub(crate) fn push(&mut self, pixel: &Pixel) {
+        self.color.push(pixel.color.to_array());
+        if let Some(aovs) = &mut self.aovs {
+            aovs.normal_depth.push(pixel.normal.extend(pixel.distance).to_array());
+            aovs.ids.push(pixel.ids);
+        }
+    }
+
+    /// The image that these planes show.
+    pub(crate) fn into_image(self) -> Image {
+        let aovs = self.aovs.map(|AovBuffers { normal_depth, ids }| Aovs {
+            depth: normal_depth.iter().map(|&[_, _, _, t]| if t == f32::MAX { f32::INFINITY } else { t }).collect(),
+            normal: normal_depth.iter().map(|&[x, y, z, _]| [x, y, z]).collect(),
+            node: ids.iter().map(|&[slot, version, _, instance]| node_key(slot, version, instance)).collect(),
+            triangle: ids.iter().map(|&[_, _, primitive, _]| primitive).collect(),
+        });
+        Image { width: self.width, height: self.height, color: self.color, aovs }
+    }
+}
+
+fn node_key(slot: u32, version: u32, instance: u32) -> NodeKey {
+    if instance == NONE {
+        return NodeKey::default();
+    }
+    KeyData::from_ffi(u64::from(version) << 32 | u64::from(slot)).into()
+}
