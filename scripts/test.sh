@@ -6,7 +6,7 @@ cd "$(dirname "$0")/.."
 # GPU tests fail, not skip, without an adapter.
 export ROPEWALK_REQUIRE_GPU=1
 
-if ! cargo test --locked --quiet --test gpu -- --exact device::an_adapter_serves; then
+if ! cargo test --locked --quiet --test tracers -- --exact trace::gpu::device::an_adapter_serves; then
     echo "No usable GPU adapter (see above): installing a software Vulkan driver."
     bash scripts/install-vulkan.sh
 fi

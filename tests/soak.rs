@@ -2,19 +2,14 @@
 
 #![expect(clippy::unwrap_used, reason = "a panic in a test is a failure")]
 
-#[path = "support/canonical.rs"]
-mod canonical;
-#[path = "support/world.rs"]
-mod world;
-
-use canonical::Canonical;
 use glam::DVec3;
 use peak_alloc::PeakAlloc;
 use proptest::strategy::{Strategy, ValueTree};
 use proptest::test_runner::TestRunner;
 use ropewalk::compile::Compiler;
 use ropewalk::{ChangeCursor, Scene};
-use world::{World, edit_with_geometries};
+use ropewalk_testkit::canonical::Canonical;
+use ropewalk_testkit::world::{World, edit_with_geometries};
 
 /// Counts the bytes that are allocated.
 #[global_allocator]

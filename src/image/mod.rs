@@ -1,11 +1,9 @@
 //! Linear images with what was seen in each pixel, and their way to a display and to files.
 
 mod encode;
-mod flip;
 mod save;
 mod tonemap;
 
-pub use flip::{PIXELS_PER_DEGREE, flip};
 pub use tonemap::{khronos_pbr_neutral, srgb_from_linear};
 
 use crate::graph::NodeKey;

@@ -8,9 +8,9 @@ use ropewalk::device::layout::{HitRecord, NONE, Node, PrimitiveRange, RayRecord}
 use ropewalk::math::Aabb;
 use ropewalk::trace::{Emulated, Tracer};
 
-use crate::kernel_support::oracle::{Verdict, candidates, fault};
-use crate::kernel_support::{Mesh, Placed, Random, arrays};
-use crate::meshes::{STRUCTURES, adversarial, geometry, grid};
+use super::meshes::{STRUCTURES, adversarial, geometry, grid};
+use ropewalk_testkit::oracle::{Verdict, candidates, fault};
+use ropewalk_testkit::{Mesh, Placed, Random, arrays};
 
 /// The arrays of `placed`, with hierarchies by the builders under test.
 fn built(meshes: &[Mesh], placed: &[Placed], params: &BlasBuildParams) -> DeviceArrays {
@@ -104,7 +104,7 @@ fn rays_at(mesh: &Mesh, random: &mut Random, count: usize) -> Vec<RayRecord> {
 #[test]
 fn adversarial_meshes_are_hit_as_brute_force_hits_them() {
     for (i, (name, mesh)) in adversarial().into_iter().enumerate() {
-        let rays = rays_at(&mesh, &mut Random(i as u64), 1500);
+        let rays = rays_at(&mesh, &mut Random::new(i as u64), 1500);
         check(name, &mesh, &BlasBuildParams::PAPER, &rays);
         for structure in STRUCTURES {
             check(&format!("{name}, {structure:?}"), &mesh, &BlasBuildParams::new(structure), &rays);
@@ -145,7 +145,7 @@ fn rays_in_face_planes_of_boxes_hit() {
 #[test]
 fn instances_are_hit_as_f64_hits_them() {
     let meshes = [Mesh::soup(1, 60), Mesh::icosphere(1), Mesh::cube()];
-    let mut random = Random(5);
+    let mut random = Random::new(5);
     let placed: Vec<Placed> = (0..80)
         .map(|i| {
             let scale = random.in_cube().as_dvec3() * 0.4 + DVec3::splat(0.6);
@@ -176,7 +176,7 @@ fn bunny() {
     };
     let mesh = Mesh::glb(&std::path::Path::new(&scenes).join("meshes/stanford-bunny.glb"));
     assert_eq!(mesh.indices.len(), 69_451);
-    let rays = rays_at(&mesh, &mut Random(1), 1000);
+    let rays = rays_at(&mesh, &mut Random::new(1), 1000);
     for structure in STRUCTURES {
         check(&format!("bunny, {structure:?}"), &mesh, &BlasBuildParams::new(structure), &rays);
     }

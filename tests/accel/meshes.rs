@@ -3,7 +3,7 @@
 use glam::Vec3;
 use ropewalk::graph::{BlasKind, Geometry, Quality};
 
-use crate::kernel_support::{Mesh, Random};
+use ropewalk_testkit::{Mesh, Random};
 
 /// All that a bottom-level structure can be.
 pub(crate) const STRUCTURES: [BlasKind; 4] =
@@ -78,7 +78,7 @@ fn without_area() -> Mesh {
 }
 
 fn needles(count: usize) -> Mesh {
-    let mut random = Random(11);
+    let mut random = Random::new(11);
     from_triangles((0..count).map(|_| {
         let (from, to) = (random.in_cube(), random.in_cube());
         [from, to, to + random.in_cube() * 1e-3]

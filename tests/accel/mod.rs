@@ -3,8 +3,6 @@
 #![allow(clippy::panic, clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod hits;
-#[path = "../kernel_support/mod.rs"]
-mod kernel_support;
 mod meshes;
 mod quality;
 mod refit;

@@ -5,8 +5,8 @@ use ropewalk::accel::{Blas, BlasBuildParams, MAX_CHILDREN};
 use ropewalk::device::layout::{NONE, Node};
 use ropewalk::math::Aabb;
 
-use crate::kernel_support::Mesh;
-use crate::meshes::{adversarial, geometry};
+use super::meshes::{adversarial, geometry};
+use ropewalk_testkit::Mesh;
 
 const PARAMS: BlasBuildParams = BlasBuildParams { max_leaf_size: 15, ..BlasBuildParams::PAPER };
 
@@ -72,7 +72,7 @@ fn binning_loses_at_most_a_few_percent_to_a_full_sweep() {
 }
 
 fn bumpy_grid() -> Mesh {
-    let mut mesh = crate::meshes::grid(60, 40, 2, 0.0);
+    let mut mesh = super::meshes::grid(60, 40, 2, 0.0);
     for p in &mut mesh.positions {
         p.z = (p.x * 0.7).sin() * (p.y * 0.9).cos() * 3.0;
     }

@@ -8,8 +8,8 @@ use ropewalk::graph::{BlasKind, Geometry};
 use ropewalk::math::Aabb;
 use ropewalk::trace::{Emulated, Tracer};
 
-use crate::kernel_support::{Mesh, Placed, Random, arrays};
-use crate::meshes::{adversarial, beyond_arithmetic, geometry};
+use super::meshes::{adversarial, beyond_arithmetic, geometry};
+use ropewalk_testkit::{Mesh, Placed, Random, arrays};
 
 const QUALITIES: [Quality; 2] = [Quality::Low, Quality::Medium];
 
@@ -125,7 +125,7 @@ fn triangles_that_come_and_go_are_noticed() {
 
 #[test]
 fn rays_hit_what_they_hit_in_a_new_structure() {
-    let mut random = Random(3);
+    let mut random = Random::new(3);
     // Corners that are very near each other may meet when they are turned.
     let mut soup = Mesh::soup(2, 3000);
     let (positions, indices) = (&soup.positions, &mut soup.indices);

@@ -6,8 +6,8 @@ use ropewalk::accel::{Blas, BlasBuildParams, BvhError, MAX_BLAS_DEPTH};
 use ropewalk::device::layout::{NONE, Node, PrimitiveRange};
 use ropewalk::graph::{BlasKind, Geometry, Quality};
 
-use crate::kernel_support::{Mesh, Random};
-use crate::meshes::{STRUCTURES, adversarial, beyond_arithmetic, geometry, grid, identical};
+use super::meshes::{STRUCTURES, adversarial, beyond_arithmetic, geometry, grid, identical};
+use ropewalk_testkit::{Mesh, Random};
 
 const PARAMS: [BlasBuildParams; 3] = [
     BlasBuildParams { max_leaf_size: 15, ..BlasBuildParams::PAPER },
@@ -229,7 +229,7 @@ fn every_point_of_a_triangle_is_in_a_leaf_that_holds_it() {
                     leaves[triangle.primitive as usize].push(node);
                 }
             }
-            let mut random = Random(seed as u64);
+            let mut random = Random::new(seed as u64);
             for (primitive, leaves) in leaves.iter().enumerate().filter(|(_, leaves)| leaves.len() > 1) {
                 let [a, b, c] = mesh.triangle(primitive).map(Vec3::as_dvec3);
                 for _ in 0..20 {

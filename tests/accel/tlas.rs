@@ -99,7 +99,7 @@ fn chains_do_not_make_it_deep() {
 
 #[test]
 fn the_number_of_threads_changes_nothing() {
-    let mut random = crate::kernel_support::Random(5);
+    let mut random = ropewalk_testkit::Random::new(5);
     let boxes: Vec<Aabb> = (0..100_000).map(|_| cube(random.in_cube(), 0.01)).collect();
     let build_with = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();

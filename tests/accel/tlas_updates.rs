@@ -6,8 +6,8 @@ use ropewalk::accel::{RebuildReason, Tlas, TlasUpdate};
 use ropewalk::device::layout::{NONE, Node, PrimitiveRange};
 use ropewalk::math::Aabb;
 
-use crate::kernel_support::Random;
-use crate::tlas::{Built, any_box, build, cube};
+use super::tlas::{Built, any_box, build, cube};
+use ropewalk_testkit::Random;
 
 /// What an executor has copied: the changed ranges, and nothing else.
 fn catch_up(copy: &mut Vec<Node>, built: &mut Built) -> usize {
@@ -151,7 +151,7 @@ impl Model {
                 sets.iter().map(|(i, _)| of(i) as u32).collect()
             }
             Edit::MoveAll(seed) => {
-                let mut random = Random(*seed);
+                let mut random = Random::new(*seed);
                 for b in self.boxes.iter_mut().filter(|b| !b.is_empty()) {
                     let by = random.in_cube() * 0.05;
                     *b = Aabb { min: b.min + by, max: b.max + by };
@@ -191,7 +191,7 @@ impl Model {
 
 fn check_edits(boxes: Vec<Aabb>, edits: &[Edit], rays: bool) {
     let mut built = build(&boxes);
-    let (mut copy, mut random) = (Vec::new(), Random(1));
+    let (mut copy, mut random) = (Vec::new(), Random::new(1));
     catch_up(&mut copy, &mut built);
     let mut model = Model { hidden: boxes.clone(), boxes };
     for edit in edits {
@@ -223,7 +223,7 @@ proptest! {
 }
 
 fn field(count: usize) -> Vec<Aabb> {
-    let mut random = Random(3);
+    let mut random = Random::new(3);
     (0..count).map(|_| cube(random.in_cube(), 0.01)).collect()
 }
 
@@ -294,7 +294,7 @@ fn many_moved_instances_refit() {
 fn a_cost_that_grows_rebuilds() {
     let mut boxes = field(2000);
     let mut built = build(&boxes);
-    let mut random = Random(9);
+    let mut random = Random::new(9);
     let (mut rebuilt, mut dearest) = (0, 0.0f64);
     for _ in 0..2000 {
         let slot = random.index(boxes.len());
@@ -350,7 +350,7 @@ fn what_is_hidden_and_shown_again_is_where_it_was() {
 fn instances_come_without_a_rebuild_once_there_is_room() {
     let mut boxes = field(6400);
     let mut built = build(&boxes);
-    let mut random = Random(4);
+    let mut random = Random::new(4);
     let mut grow = |built: &mut Built, boxes: &mut Vec<Aabb>| {
         boxes.push(cube(random.in_cube(), 0.01));
         built.update(boxes, &[boxes.len() as u32 - 1])
@@ -362,7 +362,7 @@ fn instances_come_without_a_rebuild_once_there_is_room() {
         let update = grow(&mut built, &mut boxes);
         assert!(matches!(update, TlasUpdate::Patched { instances: 1, .. }), "{update:?}");
         check(&built, &boxes);
-        check_rays(&built, &mut Random(8));
+        check_rays(&built, &mut Random::new(8));
     }
     assert_eq!(grow(&mut built, &mut boxes), TlasUpdate::Rebuilt(RebuildReason::NoUnusedLeaf));
     check(&built, &boxes);
@@ -387,7 +387,7 @@ fn instances_go_without_a_rebuild_until_half_are_gone() {
                 _ => {}
             }
             check(&built, &boxes);
-            check_rays(&built, &mut Random(gone));
+            check_rays(&built, &mut Random::new(gone));
         }
         assert_eq!(built.nodes.len(), 0);
     }
@@ -421,6 +421,6 @@ fn the_last_leaf_can_go_while_many_others_move() {
         boxes[last as usize] = Aabb::EMPTY;
         assert!(matches!(built.update(&boxes, &changed), TlasUpdate::Refitted { .. }));
         check(&built, &boxes);
-        check_rays(&built, &mut Random(2));
+        check_rays(&built, &mut Random::new(2));
     }
 }

@@ -4,8 +4,8 @@ use glam::{DAffine3, DMat3, DQuat, DVec3};
 use ropewalk::accel::{Blas, BlasBuildParams, SupportFunction};
 use ropewalk::math::Bounds;
 
-use crate::kernel_support::{Mesh, Random};
-use crate::meshes::{adversarial, beyond_arithmetic, geometry, grid};
+use super::meshes::{adversarial, beyond_arithmetic, geometry, grid};
+use ropewalk_testkit::{Mesh, Random};
 
 /// The exact box, as f64 goes.
 fn brute_force(blas: &Blas, world_from_local: &DAffine3) -> Bounds {
@@ -44,7 +44,7 @@ fn excess(name: &str, blas: &Blas, support: &SupportFunction, world_from_local: 
 
 #[test]
 fn boxes_are_around_all_corners_and_tight() {
-    let mut random = Random(7);
+    let mut random = Random::new(7);
     let mut compared = 0;
     let meshes = [
         ("icosphere", Mesh::icosphere(4)),
@@ -74,7 +74,7 @@ fn boxes_are_around_all_corners_and_tight() {
 
 #[test]
 fn few_corners_give_exact_boxes() {
-    let mut random = Random(8);
+    let mut random = Random::new(8);
     for mesh in [Mesh::soup(1, 1), Mesh::soup(2, 20), Mesh::icosphere(1), grid(7, 7, 0, 1.0)] {
         let blas = Blas::build(&geometry(&mesh), &BlasBuildParams::default()).unwrap();
         let support = SupportFunction::new(&blas);

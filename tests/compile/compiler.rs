@@ -2,14 +2,8 @@
 
 #![expect(clippy::unwrap_used, reason = "a panic in a test is a failure")]
 
-#[path = "support/canonical.rs"]
-mod canonical;
-#[path = "support/world.rs"]
-mod world;
-
 use std::cell::Cell;
 
-use canonical::Canonical;
 use glam::{DVec3, Vec3};
 use proptest::prelude::*;
 use proptest::test_runner::TestRunner;
@@ -20,7 +14,9 @@ use ropewalk::device::layout::{HitRecord, RayRecord};
 use ropewalk::device::{DeviceArrays, DeviceBuffer};
 use ropewalk::trace::{Emulated, Tracer};
 use ropewalk::{Core, GeometryKey, Material, NodeKey, Scene, Transform};
-use world::{Edit, World, edit, edit_with_geometries, mesh};
+use ropewalk_testkit::Random;
+use ropewalk_testkit::canonical::Canonical;
+use ropewalk_testkit::world::{Edit, World, edit, edit_with_geometries, mesh};
 
 const EYE: DVec3 = DVec3::new(0.0, 0.0, 10.0);
 
@@ -144,17 +140,14 @@ impl Copies {
 
 /// At points in the boxes of instances, from near and far.
 fn rays_at(arrays: &DeviceArrays) -> Vec<RayRecord> {
-    let mut state = 1u32;
-    let mut random = || {
-        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        (state >> 8) as f32 / (1 << 24) as f32
-    };
+    let mut random = Random::new(1);
     let leaves = arrays.tlas_nodes.iter().filter(|node| node.primitives.primitive_count() > 0);
     let boxes: Vec<_> = leaves.map(|leaf| (Vec3::from(leaf.min), Vec3::from(leaf.max))).collect();
     let mut ray = |i: usize| {
         let (min, max) = boxes[i % boxes.len()];
-        let target = min + (max - min) * Vec3::new(random(), random(), random());
-        let direction = Vec3::new(random(), random(), random()) - 0.5;
+        let mut in_unit_cube = || Vec3::new(random.unsigned(), random.unsigned(), random.unsigned());
+        let target = min + (max - min) * in_unit_cube();
+        let direction = in_unit_cube() - 0.5;
         let origin = target - direction * [1.0, 30.0][i % 2];
         RayRecord { origin: origin.to_array(), t_min: 0.0, direction: direction.to_array(), t_max: f32::MAX }
     };

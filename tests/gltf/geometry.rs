@@ -3,7 +3,7 @@
 use glam::{Vec2, Vec3, Vec4};
 use serde_json::json;
 
-use crate::fixture::*;
+use super::fixture::*;
 
 /// The corners of every triangle, in order.
 fn corners(geometry: &ropewalk::Geometry) -> Vec<Vec3> {

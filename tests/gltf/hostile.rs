@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use crate::fixture::*;
+use super::fixture::*;
 
 /// Counts whose product with a size overflows, or exceeds all memory.
 const HUGE: [u64; 5] = [1 << 28, u32::MAX as u64, 1 << 33, u64::MAX / 12 + 1, u64::MAX];

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use ropewalk::{Error, Scene, gltf};
 
-use crate::corpus::{gltf_files, scenes};
+use ropewalk_testkit::corpus::{gltf_files, scenes};
 
 /// Of files that the validator calls wrong, those that must not be accepted, by its codes: the tree, and everything out of range.
 const NEVER_ACCEPTED: &[&str] = &[

@@ -10,7 +10,7 @@ use ropewalk::gltf::{self, ImportOptions};
 use ropewalk::{AlphaMode, FilterMode, Material, Sampler, Scene, Texture, TextureRef, WrapMode};
 use serde_json::{Value, json};
 
-use crate::fixture::*;
+use super::fixture::*;
 
 /// A file whose triangle has this material, and two sets of texture coordinates.
 fn with_material(material: Value) -> Fixture {

@@ -8,7 +8,7 @@ use ropewalk::gltf::{self, ImportOptions};
 use ropewalk::{Error, Scene};
 use serde_json::{Value, json};
 
-use crate::fixture::*;
+use super::fixture::*;
 
 /// A small file that has one of everything, so that mutations reach all code.
 fn everything() -> Fixture {

@@ -5,7 +5,7 @@ use ropewalk::gltf::{self, ImportOptions, SceneSelector};
 use ropewalk::{Camera, Core, Error, Light, LightKind, Scene, Transform};
 use serde_json::json;
 
-use crate::fixture::*;
+use super::fixture::*;
 
 #[test]
 fn hierarchy_names_and_transforms_are_kept() {

@@ -3,7 +3,7 @@
 use glam::{DVec3, Vec3};
 use serde_json::json;
 
-use crate::fixture::*;
+use super::fixture::*;
 
 #[test]
 fn morph_targets_are_added_by_their_default_weights() {

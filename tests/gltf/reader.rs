@@ -7,7 +7,7 @@ use glam::{DAffine3, DMat4, DQuat, DVec3, Vec2, Vec3, Vec4};
 use gltf::mesh::Mode;
 use ropewalk::{Core, Geometry, NodeKey, Scene};
 
-use crate::corpus::{gltf_files, scenes};
+use ropewalk_testkit::corpus::{gltf_files, scenes};
 
 /// A corner of a triangle in the scene.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use ropewalk::gltf::{self, ImportCounts, ImportOptions, ImportReport, SceneSelector};
 use ropewalk::{Error, Scene};
 
-use crate::corpus::{gltf_files, scenes};
+use ropewalk_testkit::corpus::{gltf_files, scenes};
 
 /// What the index says of a file, or of every variant of a model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -4,12 +4,12 @@ use glam::DVec3;
 use ropewalk::trace::{Cpu, Emulated};
 use ropewalk::{Core, Error, Geometry, Material, Ray, Renderer, Scene, Transform};
 
-use crate::kernel_support::{Mesh, Random};
+use ropewalk_testkit::{Mesh, Random};
 
 /// Renderers on every executor.
 fn renderers() -> Vec<Renderer> {
     #[cfg(feature = "gpu")]
-    let gpu = crate::kernel_support::gpu::tracer().map(Renderer::with_tracer);
+    let gpu = ropewalk_testkit::gpu::tracer().map(Renderer::with_tracer);
     #[cfg(not(feature = "gpu"))]
     let gpu = None;
     let others = [Renderer::with_tracer(Cpu::default()), Renderer::with_tracer(Emulated::default())];
@@ -18,7 +18,7 @@ fn renderers() -> Vec<Renderer> {
 
 /// Spheres of 1280 triangles in a cube of that half size around a point of the world.
 fn scene(center: DVec3, size: f64) -> Scene {
-    let mut random = Random(7);
+    let mut random = Random::new(7);
     let mut scene = Scene::new();
     let mesh = Mesh::icosphere(3);
     let geometry = scene.add_geometry(Geometry::new(mesh.positions, mesh.indices)).unwrap();
@@ -36,7 +36,7 @@ fn scene(center: DVec3, size: f64) -> Scene {
 
 /// Rays from near and very far, of all lengths and limits, at the spheres and beside them.
 fn rays(center: DVec3, size: f64, count: usize) -> Vec<Ray> {
-    let mut random = Random(8);
+    let mut random = Random::new(8);
     let mut ray = || {
         let distance = [0.5, 3.0, 1e3, 1e7][random.index(4)];
         let from = center + random.direction().as_dvec3() * distance * size;

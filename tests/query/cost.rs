@@ -5,7 +5,7 @@ use ropewalk::compile::Compiler;
 use ropewalk::query::Overlap;
 use ropewalk::{Bounds, Camera, Core, Geometry, Material, Queries, Ray, Region, Scene, Transform, View};
 
-use crate::kernel_support::{Mesh, Random};
+use ropewalk_testkit::{Mesh, Random};
 
 /// A field of balls, `side` by `side` by `side`, of radius 1 and 4 apart.
 fn field(side: i32, subdivisions: u32) -> Scene {
@@ -25,7 +25,7 @@ fn field(side: i32, subdivisions: u32) -> Scene {
 /// Nodes that 200 queries of one kind visit, on average each.
 fn cost(queries: &Queries<'_>, mut query: impl FnMut(&Queries<'_>, &mut Random)) -> u64 {
     const COUNT: u64 = 200;
-    let (before, mut random) = (queries.visited_nodes(), Random(1));
+    let (before, mut random) = (queries.visited_nodes(), Random::new(1));
     for _ in 0..COUNT {
         query(queries, &mut random);
     }

@@ -7,8 +7,8 @@ use proptest::prelude::*;
 use ropewalk::compile::Compiler;
 use ropewalk::{Bounds, Core, Geometry, Material, Queries, Scene};
 
-use crate::kernel_support::Mesh;
-use crate::scenes::{World, check, compiled, drawn};
+use super::scenes::{World, check, compiled, drawn};
+use ropewalk_testkit::Mesh;
 
 #[test]
 fn boxes_contain_what_is_in_them() {

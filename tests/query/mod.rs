@@ -7,8 +7,6 @@ mod batch;
 mod cost;
 mod errors;
 mod inside;
-#[path = "../kernel_support/mod.rs"]
-mod kernel_support;
 mod nearest;
 mod oracle;
 mod pick;

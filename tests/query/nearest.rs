@@ -6,7 +6,7 @@ use glam::DVec3;
 use proptest::prelude::*;
 use ropewalk::Queries;
 
-use crate::scenes::{World, check, compiled, drawn};
+use super::scenes::{World, check, compiled, drawn};
 
 /// How far a triangle is (C. Ericson, *Real-Time Collision Detection*, 5.1.5).
 pub fn distance([a, b, c]: [DVec3; 3], point: DVec3) -> f64 {

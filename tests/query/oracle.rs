@@ -4,7 +4,7 @@ use glam::DVec3;
 use ropewalk::graph::AlphaMode;
 use ropewalk::{NodePath, Ray};
 
-use crate::scenes::Drawn;
+use super::scenes::Drawn;
 
 /// A triangle that a ray meets, or may meet.
 #[derive(Clone, Debug)]

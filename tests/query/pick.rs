@@ -10,12 +10,12 @@ use ropewalk::{
     Scene, Transform, View,
 };
 
-use crate::kernel_support::{Mesh, Random};
+use ropewalk_testkit::{Mesh, Random};
 
 /// Balls and soups of all kinds of material, masked and not, around a point.
 fn scene(center: DVec3) -> Scene {
     let mut scene = Scene::new();
-    let mut random = Random(3);
+    let mut random = Random::new(3);
     let solid = Material { double_sided: false, ..Material::default() };
     let glass = Vec4::new(1.0, 1.0, 1.0, 0.4);
     let materials = [
@@ -90,7 +90,7 @@ fn each_pixel_is_picked_as_it_is_drawn() {
 #[cfg(feature = "gpu")]
 #[test]
 fn each_pixel_is_picked_as_a_gpu_draws_it() {
-    if let Some(tracer) = crate::kernel_support::gpu::tracer() {
+    if let Some(tracer) = ropewalk_testkit::gpu::tracer() {
         check(&mut Renderer::with_tracer(tracer), DVec3::ZERO);
     }
 }
@@ -199,7 +199,7 @@ fn a_slot_names_the_node_that_has_it_after_edits() {
     let geometry = scene.add_geometry(Geometry::new(mesh.positions, mesh.indices)).unwrap();
     let material = scene.add_material(Material::diffuse(Vec3::ONE)).unwrap();
     let core = scene.add_core(Core::Geometry { geometry, material }).unwrap();
-    let mut random = Random(2);
+    let mut random = Random::new(2);
     let mut cubes: Vec<Cube> = Vec::new();
     for step in 0..60 {
         if step % 3 == 2 {

@@ -8,9 +8,9 @@ use ropewalk::compile::Compiler;
 use ropewalk::graph::AlphaMode;
 use ropewalk::{Core, Geometry, Hit, Material, NodePath, Queries, Ray, Scene};
 
-use crate::kernel_support::Mesh;
-use crate::oracle::{Candidate, candidates};
-use crate::scenes::{Dice, Drawn, World, check, compiled, drawn};
+use super::oracle::{Candidate, candidates};
+use super::scenes::{Dice, Drawn, World, check, compiled, drawn};
+use ropewalk_testkit::Mesh;
 
 /// From somewhere to a point of some triangle, or just anywhere; directions of all lengths.
 fn ray(dice: &mut Dice, drawn: &[Drawn], origin: DVec3) -> Ray {

@@ -8,8 +8,8 @@ use proptest::prelude::*;
 use ropewalk::query::{HalfSpace, Overlap};
 use ropewalk::{Bounds, Camera, NodePath, Queries, Region, View};
 
-use crate::kernel_support::Random;
-use crate::scenes::{Dice, Seed, World, check, compiled, drawn};
+use super::scenes::{Dice, Seed, World, check, compiled, drawn};
+use ropewalk_testkit::Random;
 
 /// A convex body with its corners, the directions of its edges and the normals of its faces. Relative to the render origin.
 struct Body {
@@ -184,7 +184,7 @@ fn any_planes_make_a_region() {
         let touching = set(queries.overlapping(&region, Overlap::Touching));
         for drawn in &drawn {
             let distances =
-                (0..drawn.triangles.len()).map(|i| crate::nearest::distance(drawn.world_triangle(i), center - origin));
+                (0..drawn.triangles.len()).map(|i| super::nearest::distance(drawn.world_triangle(i), center - origin));
             let distance = distances.fold(f64::INFINITY, f64::min);
             // The planes are tangents of the ball: they reach a little beyond it.
             assert!(distance > radius || touching.contains(&drawn.path));

@@ -9,7 +9,7 @@ use ropewalk::{
     BlasKind, Core, Geometry, GeometryKey, Hierarchy, Material, MaterialKey, NodePath, Quality, Scene, Transform,
 };
 
-use crate::kernel_support::{Mesh, Random};
+use ropewalk_testkit::{Mesh, Random};
 
 /// What a random scene grows from.
 #[derive(Clone, Copy, Debug)]
@@ -58,7 +58,7 @@ pub struct Dice {
 
 impl World {
     pub fn new(seed: Seed) -> Self {
-        let mut random = Random(seed.seed);
+        let mut random = Random::new(seed.seed);
         let mut scene = Scene::new();
         let center = DVec3::new(1.0, -0.5, 0.25) * seed.offset * seed.unit;
         let geometries = [

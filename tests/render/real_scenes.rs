@@ -2,11 +2,8 @@
 
 #![expect(clippy::unwrap_used, clippy::panic, reason = "a panic in a test is a failure")]
 
-#[path = "gltf_import/corpus.rs"]
-mod corpus;
-
-use corpus::{gltf_files, scenes};
 use ropewalk::{DeviceChoice, Error, Renderer, RendererOptions, Scene, View, gltf};
+use ropewalk_testkit::corpus::{gltf_files, scenes};
 
 #[test]
 fn every_scene_is_drawn_whole() {

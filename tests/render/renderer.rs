@@ -114,7 +114,7 @@ fn a_scene_far_from_the_origin_looks_the_same() {
     scene.set_local(world, Transform::from_translation(offset)).unwrap();
     let far = renderer.render(&mut scene, &view(offset)).unwrap().image().unwrap();
 
-    let errors = ropewalk::image::flip(near.width, &near.to_rgba8(), &far.to_rgba8(), 67.0).unwrap();
+    let errors = ropewalk_testkit::flip::flip(near.width, &near.to_rgba8(), &far.to_rgba8(), 67.0).unwrap();
     let flip = errors.iter().sum::<f32>() / errors.len() as f32;
     assert!(flip < 0.01, "FLIP {flip}");
     let (near, far) = (near.aovs.unwrap(), far.aovs.unwrap());

@@ -15,7 +15,7 @@ use ropewalk::device::layout::{
 use ropewalk::trace::Traversal as Walked;
 use ropewalk::trace::shader::{ArraySplit, ArraySplits, EntryPoint, Include, KernelVariant};
 
-const TYPES: &str = include_str!("../shaders/shared/types.wgsl");
+const TYPES: &str = include_str!("../../shaders/shared/types.wgsl");
 
 fn parse(entry: EntryPoint, needs: impl Into<KernelVariant>) -> naga::Module {
     let needs = needs.into();

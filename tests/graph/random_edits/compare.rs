@@ -5,8 +5,8 @@ use std::collections::{HashMap, HashSet};
 use glam::{DAffine3, DVec3};
 use ropewalk::{Bounds, Core, NodeKey, Scene};
 
-use crate::model::{Model, Step};
-use crate::random::Issued;
+use super::model::{Model, Step};
+use super::random::Issued;
 
 /// Everything that can be read without `&mut`.
 pub(crate) fn state(scene: &mut Scene, model: &Model, issued: &Issued) {

@@ -6,8 +6,8 @@ use ropewalk::{
     NodeKey, ObjectKey, Result, Scene, Texture, TextureKey, Transform,
 };
 
-use crate::model::{Model, ModelNode};
-use crate::random::Issued;
+use super::model::{Model, ModelNode};
+use super::random::Issued;
 
 #[derive(Clone, Debug)]
 #[expect(clippy::enum_variant_names, reason = "named as the calls")]

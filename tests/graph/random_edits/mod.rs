@@ -1,10 +1,10 @@
 //! Thousands of random edits of a scene and of a naive model: both must tell the same after each.
 #![expect(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
-mod compare;
-mod edit;
-mod model;
-mod random;
+pub(super) mod compare;
+pub(super) mod edit;
+pub(super) mod model;
+pub(super) mod random;
 mod reader;
 
 use std::cell::RefCell;

@@ -9,8 +9,8 @@ use ropewalk::{
     MaterialKey, NodeKey, ObjectKey, Scene, Switch, Texture, TextureKey, TextureRef, Transform,
 };
 
-use crate::edit::Edit;
-use crate::model::Model;
+use super::edit::Edit;
+use super::model::Model;
 
 /// Numbers that become an edit of the objects there are.
 #[derive(Clone, Debug)]

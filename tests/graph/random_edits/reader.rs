@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use ropewalk::{Change, ChangeCursor, Changes, ObjectKey, Scene};
 
-use crate::model::Model;
+use super::model::Model;
 
 #[derive(Default)]
 pub(crate) struct Reader {

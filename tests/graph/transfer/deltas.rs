@@ -12,7 +12,7 @@ use ropewalk::{
     NodeState, ObjectKey, ObjectState, Scene, Switch, Transform,
 };
 
-use crate::{content, sample};
+use super::{content, sample};
 
 /// A delta as anybody could have written it.
 fn forge(objects: &[(ObjectKey, Option<ObjectState>)]) -> Delta {

@@ -10,7 +10,7 @@ use proptest::sample::Index;
 use proptest::test_runner::TestRunner;
 use ropewalk::{Core, Error, Scene, SceneFileError};
 
-use crate::{content, sample};
+use super::{content, sample};
 
 /// Magic and version, then length, checksum and body of the only frame.
 const HEADER: usize = 12;

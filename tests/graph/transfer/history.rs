@@ -5,7 +5,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use glam::{DVec3, Vec3};
 use ropewalk::{Core, Error, Geometry, KeepTransform, Material, Scene, Transform};
 
-use crate::content;
+use super::content;
 
 #[test]
 fn groups_have_names_and_a_limit() {

@@ -1,17 +1,6 @@
 //! State transfer: mirrors, undo, transactions, threads and files, under random edits and against the naive model.
 #![expect(clippy::unwrap_used, clippy::panic, clippy::expect_used, reason = "a panic in a test is a failure")]
 
-#[path = "../support/canonical.rs"]
-mod canonical;
-#[path = "../graph_model/compare.rs"]
-mod compare;
-#[path = "../graph_model/edit.rs"]
-mod edit;
-#[path = "../graph_model/model.rs"]
-mod model;
-#[path = "../graph_model/random.rs"]
-mod random;
-
 mod deltas;
 mod files;
 mod history;
@@ -21,6 +10,8 @@ mod replica;
 mod session;
 
 use ropewalk::{ObjectKey, ObjectState, Scene};
+
+use super::random_edits::{model, random};
 
 /// All that a scene is, apart from which keys it gave out to objects that are gone.
 fn content(scene: &Scene) -> Vec<(ObjectKey, Option<ObjectState>)> {

@@ -4,9 +4,9 @@ use std::fs;
 
 use ropewalk::{Error, Recorder, Replay, Scene, SceneFileError};
 
-use crate::content;
-use crate::model::Model;
-use crate::random::{Issued, raw_edit};
+use super::content;
+use crate::graph::random_edits::model::Model;
+use crate::graph::random_edits::random::{Issued, raw_edit};
 
 /// A recorded session of random edits, and what the scene was after each frame.
 fn record(path: &std::path::Path) -> Vec<Vec<(ropewalk::ObjectKey, Option<ropewalk::ObjectState>)>> {

@@ -8,7 +8,7 @@ use ropewalk::{
     ChangeCursor, Delta, DeviceChoice, KeepTransform, NodeKey, Renderer, RendererOptions, Scene, Transform, View,
 };
 
-use crate::{content, sample};
+use super::{content, sample};
 
 const FRAMES: usize = 300;
 

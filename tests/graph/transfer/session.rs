@@ -10,10 +10,11 @@ use proptest::test_runner::TestRunner;
 use ropewalk::compile::Compiler;
 use ropewalk::{ChangeCursor, Delta, Error, ObjectKey, ObjectState, Scene};
 
-use crate::canonical::Canonical;
-use crate::model::Model;
-use crate::random::{Issued, RawEdit, raw_edit};
-use crate::{compare, content};
+use super::content;
+use crate::graph::random_edits::compare;
+use crate::graph::random_edits::model::Model;
+use crate::graph::random_edits::random::{Issued, RawEdit, raw_edit};
+use ropewalk_testkit::canonical::Canonical;
 
 const MIRRORS: usize = 2;
 

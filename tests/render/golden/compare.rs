@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use ropewalk::image::{Image, PIXELS_PER_DEGREE, flip};
+use ropewalk::image::Image;
+use ropewalk_testkit::flip::{PIXELS_PER_DEGREE, flip};
 
 /// The greatest mean of the FLIP errors. Executors on one machine differ by less than 0.0001.
 const MOST_MEAN: f32 = 0.002;
@@ -51,7 +52,8 @@ pub(crate) fn compare(golden: &Path, image: &Image, failed: &Path, run: &str) ->
     ))
 }
 
-const HOW_TO_BLESS: &str = "If this is meant: ROPEWALK_BLESS=1 cargo test --test golden, and look at what it makes.";
+const HOW_TO_BLESS: &str =
+    "If this is meant: ROPEWALK_BLESS=1 cargo test --test frames golden, and look at what it makes.";
 
 /// The smallest error that is not less than this part of all.
 fn percentile(errors: &[f32], part: f64) -> f32 {

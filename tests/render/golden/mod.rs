@@ -1,11 +1,11 @@
 //! Golden images: scenes of one feature each, rendered on every executor and compared with a picture that somebody looked at.
 //!
-//! After a change that is meant to be seen, `ROPEWALK_BLESS=1 cargo test --test golden` renders the pictures in `tests/golden`
+//! After a change that is meant to be seen, `ROPEWALK_BLESS=1 cargo test --test frames golden` renders the pictures in `tests/render/golden`
 //! anew (on the CPU). Look at each of them before it is committed. When a comparison fails, the picture and its FLIP
 //! difference are kept in `tests/failed`.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
-#[path = "../../examples/render/builtin/mod.rs"]
+#[path = "../../../examples/render/builtin/mod.rs"]
 mod builtin;
 mod compare;
 mod scenes;
@@ -118,7 +118,7 @@ fn gpu_required() -> bool {
 }
 
 fn golden_folder() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden")
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/render/golden")
 }
 
 fn failed_folder() -> PathBuf {

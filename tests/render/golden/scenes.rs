@@ -7,7 +7,7 @@ use glam::{Affine2, DQuat, DVec3, Vec2, Vec3, Vec4, dvec3, vec2, vec3};
 use ropewalk::graph::{Geometry, Light, LightKind, Material, NodeKey, Sampler, Texture, TextureRef};
 use ropewalk::{AlphaMode, Camera, Core, FilterMode, Result, Scene, Sky, Transform, View, WrapMode};
 
-use crate::builtin::{self, shapes, textures};
+use super::builtin::{self, shapes, textures};
 
 /// The size of a golden image.
 const WIDTH: u32 = 128;

@@ -120,7 +120,7 @@ fn emulated_and_cpu_draw_the_same_bits() {
 #[cfg(feature = "gpu")]
 #[test]
 fn the_gpu_draws_the_same_picture() {
-    let Some(renderer) = super::support::usable(open(DeviceChoice::Gpu)) else { return };
+    let Some(renderer) = ropewalk_testkit::gpu::usable(open(DeviceChoice::Gpu)) else { return };
     let name = renderer.device_info().name.clone();
     let (a, b) = (draw(open(DeviceChoice::Cpu).unwrap()), draw(renderer));
     let (count, most) = differences(&a, &b);

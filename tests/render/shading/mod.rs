@@ -7,8 +7,4 @@ mod furnace;
 mod lights;
 mod paths;
 mod scenes;
-#[cfg(feature = "gpu")]
-#[allow(dead_code, reason = "serves several tests")]
-#[path = "../support/gpu.rs"]
-mod support;
 mod textures;

@@ -11,7 +11,7 @@ use ropewalk::device::layout::{
 
 /// Everything that a kernel can reach in some arrays, with places replaced by contents. Compares bit by bit.
 #[derive(Debug, PartialEq)]
-pub(crate) struct Canonical {
+pub struct Canonical {
     /// What the leaves of the top level hold, sorted; the hierarchy above them is not compared.
     instances: Vec<CanonicalInstance>,
     /// Sorted.
@@ -37,13 +37,12 @@ struct CanonicalInstance {
 
 impl Canonical {
     /// The canonical form of compiled arrays, whatever structures there are above the triangles: those must be sound.
-    pub(crate) fn of(arrays: &DeviceArrays) -> Self {
+    pub fn of(arrays: &DeviceArrays) -> Self {
         Self::new(arrays, false)
     }
 
     /// The same with all bottom-level structures, node for node, and the boxes of instances.
-    #[allow(dead_code, reason = "the soak compares only what refits leave alone")]
-    pub(crate) fn exactly(arrays: &DeviceArrays) -> Self {
+    pub fn exactly(arrays: &DeviceArrays) -> Self {
         Self::new(arrays, true)
     }
 
@@ -63,7 +62,7 @@ impl Canonical {
     }
 
     /// The first part that differs, by name; `None` if nothing does.
-    pub(crate) fn difference(&self, other: &Self) -> Option<String> {
+    pub fn difference(&self, other: &Self) -> Option<String> {
         if let Some(fault) = self.fault.as_ref().or(other.fault.as_ref()) {
             return Some(fault.clone());
         }
@@ -88,7 +87,7 @@ impl Canonical {
     }
 
     /// How many instances can be reached.
-    pub(crate) fn instance_count(&self) -> usize {
+    pub fn instance_count(&self) -> usize {
         self.instances.len()
     }
 }

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 /// The folder, or nothing (said on standard error) where the variable is not set.
-pub(crate) fn scenes(test: &str) -> Option<PathBuf> {
+pub fn scenes(test: &str) -> Option<PathBuf> {
     let folder = std::env::var_os("ROPEWALK_SCENES").map(PathBuf::from);
     if folder.is_none() {
         eprintln!("{test}: skipped, because ROPEWALK_SCENES is not set");
@@ -12,7 +12,7 @@ pub(crate) fn scenes(test: &str) -> Option<PathBuf> {
 }
 
 /// Every glTF file below a folder, sorted.
-pub(crate) fn gltf_files(folder: &Path) -> Vec<PathBuf> {
+pub fn gltf_files(folder: &Path) -> Vec<PathBuf> {
     let mut files = Vec::new();
     let mut pending = vec![folder.to_owned()];
     while let Some(folder) = pending.pop() {

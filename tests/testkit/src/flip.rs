@@ -2,8 +2,6 @@
 
 use glam::{Mat3, Vec3};
 
-use crate::{Error, Result};
-
 /// What [`flip`] assumes of the viewer by default: a 4K monitor, 0.7 m wide, at 0.7 m.
 pub const PIXELS_PER_DEGREE: f32 = 67.0;
 
@@ -14,18 +12,17 @@ pub const PIXELS_PER_DEGREE: f32 = 67.0;
 /// HPG 2020; filters separated as in the authors' own program.
 ///
 /// # Errors
-/// [`Error::OutOfRange`] where the images differ in size, are not whole rows of `width` pixels, or have no pixels, or
-/// `pixels_per_degree` is not between 1 and 1000.
-pub fn flip(width: u32, reference: &[[u8; 4]], test: &[[u8; 4]], pixels_per_degree: f32) -> Result<Vec<f32>> {
-    let out_of_range = |what, value: String, expected| Err(Error::OutOfRange { what, value, expected });
+/// Where the images differ in size, are not whole rows of `width` pixels, or have no pixels, or `pixels_per_degree` is not between
+/// 1 and 1000.
+pub fn flip(width: u32, reference: &[[u8; 4]], test: &[[u8; 4]], pixels_per_degree: f32) -> Result<Vec<f32>, String> {
     if reference.len() != test.len() {
-        return out_of_range("the number of pixels", test.len().to_string(), "that of the reference image");
+        return Err(format!("{} pixels cannot be compared with {}", test.len(), reference.len()));
     }
     if reference.is_empty() || width == 0 || !reference.len().is_multiple_of(width as usize) {
-        return out_of_range("the number of pixels", test.len().to_string(), "a positive multiple of the width");
+        return Err(format!("{} pixels are not rows of {width}", test.len()));
     }
     if !(1.0..=1000.0).contains(&pixels_per_degree) {
-        return out_of_range("pixels per degree", pixels_per_degree.to_string(), "between 1 and 1000");
+        return Err(format!("{pixels_per_degree} pixels per degree are not between 1 and 1000"));
     }
 
     let [reference, test] = [reference, test].map(|pixels| YcxczImage::new(width as usize, pixels));

@@ -1,38 +1,29 @@
-//! What the kernel's tests trace: meshes, random numbers, device arrays, and the truth about them.
-
-#![allow(dead_code, unreachable_pub, unused_imports, reason = "each test uses a part of this")]
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
+//! What Ropewalk's tests share. It is a package of its own, so that it is compiled once for all test binaries.
+//!
+//! - [`Random`]: the random numbers of all tests, from a seed, the same on every machine.
+//! - [`Mesh`], [`Placed`], [`arrays`]: meshes made in code, and device arrays of them that are made without the compiler.
+//! - [`tracers`]: every executor with every traversal; `gpu`: the GPU, if there is one.
+//! - [`oracle`]: the closest hit by brute force in f64.
+//! - [`canonical`]: compiled arrays in a form that can be compared; [`world`]: a scene under random edits.
+//! - [`corpus`]: where the sample scenes are.
+//! - [`mod@flip`]: how different two images look to a person.
+//!
+//! A function that cannot do its work panics: that is how a test fails. In-crate unit tests of `ropewalk` cannot use this package,
+//! since it would bring a second copy of the crate, whose types are not theirs.
 
 mod arrays;
+pub mod canonical;
+pub mod corpus;
+pub mod flip;
 #[cfg(feature = "gpu")]
-#[path = "../support/gpu.rs"]
 pub mod gpu;
 mod mesh;
 pub mod oracle;
 mod random;
+mod tracers;
+pub mod world;
 
 pub use arrays::{Builder, Placed, arrays, arrays_by};
 pub use mesh::Mesh;
 pub use random::Random;
-
-use ropewalk::trace::{Cpu, Emulated, Recursive, Tracer, Traversal};
-
-/// Every executor by every layout; the GPU where there is one.
-pub fn tracers() -> Vec<Box<dyn Tracer>> {
-    let mut tracers: Vec<Box<dyn Tracer>> = vec![Box::new(Cpu::default()), Box::new(Recursive::default())];
-    for layout in [Traversal::Rope, Traversal::Wide] {
-        tracers.push(Box::new(Emulated::default().with_traversal(layout)));
-        tracers.extend(on_gpu(layout));
-    }
-    tracers
-}
-
-#[cfg(feature = "gpu")]
-fn on_gpu(layout: Traversal) -> Option<Box<dyn Tracer>> {
-    Some(Box::new(gpu::tracer()?.with_layout(layout)))
-}
-
-#[cfg(not(feature = "gpu"))]
-fn on_gpu(_: Traversal) -> Option<Box<dyn Tracer>> {
-    None
-}
+pub use tracers::tracers;

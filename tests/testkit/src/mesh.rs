@@ -50,7 +50,7 @@ impl Mesh {
     /// An icosphere whose vertices are moved along their radius by a rough noise; still closed, and star-shaped about 0.
     pub fn displaced_icosphere(subdivisions: u32) -> Self {
         let mut mesh = Self::icosphere(subdivisions);
-        let mut random = Random(7);
+        let mut random = Random::new(7);
         for p in &mut mesh.positions {
             *p *= 1.0 + 0.2 * (p.x * 9.0).sin() * (p.y * 7.0).cos() + 0.02 * random.signed();
         }
@@ -59,7 +59,7 @@ impl Mesh {
 
     /// Triangles of all sizes and shapes in the cube from -1 to 1.
     pub fn soup(seed: u64, triangles: usize) -> Self {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let mut positions = Vec::new();
         for _ in 0..triangles {
             let (center, size) = (random.in_cube(), 0.5 * random.unsigned().powi(3));

@@ -2,38 +2,41 @@
 
 use glam::Vec3;
 
-/// The generator `SplitMix64`.
-pub struct Random(pub u64);
+/// A sequence of random numbers that its seed determines.
+pub struct Random(fastrand::Rng);
 
 impl Random {
+    /// The sequence of a seed.
+    pub fn new(seed: u64) -> Self {
+        Self(fastrand::Rng::with_seed(seed))
+    }
+
+    /// Any 64 bits.
     pub fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
+        self.0.u64(..)
     }
 
-    /// An index below `end`.
+    /// An index below `end`, which is at least 1.
     pub fn index(&mut self, end: usize) -> usize {
-        (self.bits() % end as u64) as usize
+        self.0.usize(..end)
     }
 
-    /// From -1 to 1.
-    pub fn signed(&mut self) -> f32 {
-        (self.bits() >> 40) as f32 / (1 << 23) as f32 - 1.0
-    }
-
-    /// From 0 to 1.
+    /// From 0 to 1, below 1.
     pub fn unsigned(&mut self) -> f32 {
-        (self.bits() >> 40) as f32 / (1 << 24) as f32
+        self.0.f32()
     }
 
-    /// In the cube from -1 to 1.
+    /// From -1 to 1, below 1.
+    pub fn signed(&mut self) -> f32 {
+        self.unsigned() * 2.0 - 1.0
+    }
+
+    /// A point in the cube from -1 to 1.
     pub fn in_cube(&mut self) -> Vec3 {
         Vec3::new(self.signed(), self.signed(), self.signed())
     }
 
-    /// On the unit sphere.
+    /// A unit vector, any direction as likely as any other.
     pub fn direction(&mut self) -> Vec3 {
         loop {
             let v = self.in_cube();

@@ -12,7 +12,7 @@ use ropewalk::{
 
 /// One random edit; numbers choose among what there is.
 #[derive(Clone, Debug)]
-pub(crate) enum Edit {
+pub enum Edit {
     Insert(usize, usize, usize),
     Shine(usize, usize),
     Share(usize, usize),
@@ -31,7 +31,7 @@ pub(crate) enum Edit {
     ChangeCore(usize, usize, usize),
 }
 
-pub(crate) fn edit() -> impl Strategy<Value = Edit> {
+pub fn edit() -> impl Strategy<Value = Edit> {
     let n = 0usize..64;
     prop_oneof![
         6 => (n.clone(), n.clone(), n.clone()).prop_map(|(a, b, c)| Edit::Insert(a, b, c)),
@@ -51,7 +51,7 @@ pub(crate) fn edit() -> impl Strategy<Value = Edit> {
 }
 
 /// The same, and geometries that change: mostly, they deform.
-pub(crate) fn edit_with_geometries() -> impl Strategy<Value = Edit> {
+pub fn edit_with_geometries() -> impl Strategy<Value = Edit> {
     let n = 0usize..64;
     prop_oneof![
         12 => edit(),
@@ -62,30 +62,30 @@ pub(crate) fn edit_with_geometries() -> impl Strategy<Value = Edit> {
 }
 
 /// A scene and the keys to edit it by; stale keys are asked for again.
-pub(crate) struct World {
-    pub(crate) scene: Scene,
-    pub(crate) nodes: Vec<NodeKey>,
+pub struct World {
+    pub scene: Scene,
+    pub nodes: Vec<NodeKey>,
     geometries: Vec<GeometryKey>,
-    pub(crate) materials: Vec<MaterialKey>,
+    pub materials: Vec<MaterialKey>,
     textures: Vec<TextureKey>,
 }
 
 impl World {
-    pub(crate) fn new() -> Self {
+    pub fn new() -> Self {
         let scene = Scene::new();
         let nodes = vec![scene.root()];
         Self { scene, nodes, geometries: Vec::new(), materials: Vec::new(), textures: Vec::new() }
     }
 
     /// A little of everything.
-    pub(crate) fn populate(&mut self) {
+    pub fn populate(&mut self) {
         for i in 0..12 {
             self.apply(&Edit::Insert(i / 2, i, i));
         }
         self.apply(&Edit::Shine(0, 1));
     }
 
-    pub(crate) fn apply(&mut self, edit: &Edit) {
+    pub fn apply(&mut self, edit: &Edit) {
         match *edit {
             Edit::Insert(parent, geometry, material) => {
                 let parent = self.node(parent);
@@ -179,7 +179,7 @@ impl World {
     }
 
     /// Nodes may have gone.
-    pub(crate) fn forget_stale_keys(&mut self) {
+    pub fn forget_stale_keys(&mut self) {
         let scene = &self.scene;
         self.nodes.retain(|&node| scene.contains(node));
     }
@@ -266,7 +266,7 @@ fn texture(i: u8) -> Texture {
 }
 
 /// A tetrahedron or, for some, a sphere of many triangles, with the streams that `i` says.
-pub(crate) fn mesh(i: usize) -> Geometry {
+pub fn mesh(i: usize) -> Geometry {
     let corner = 1.0 + i as f32 * 0.1;
     let tetrahedron = ([Vec3::ZERO, Vec3::X * corner, Vec3::Y, Vec3::Z], [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]);
     let mut geometry = if i % 4 == 3 { sphere(corner) } else { Geometry::new(tetrahedron.0, tetrahedron.1) };

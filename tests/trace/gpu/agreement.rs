@@ -3,8 +3,9 @@
 use ropewalk::device::layout::{HitRecord, NONE};
 use ropewalk::trace::{Cpu, Emulated, Tracer};
 
-use crate::soup::{Random, rays, soup};
-use crate::support::tracer;
+use super::soup::{rays, soup};
+use ropewalk_testkit::Random;
+use ropewalk_testkit::gpu::tracer;
 
 /// Two executors may name different triangles for a ray only where both hits are this near, relative to their distance:
 /// GPUs may contract products into fused ones and divide to 2.5 ulp, which moves a distance by a few ulp (2^-23 each) of the

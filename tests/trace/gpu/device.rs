@@ -4,8 +4,9 @@ use ropewalk::Error;
 use ropewalk::trace::Tracer as _;
 use ropewalk::trace::gpu::{AdapterKinds, GpuOptions, GpuTracer, optional_features, required_limits};
 
-use crate::soup::{Random, rays, soup};
-use crate::support::{tracer, usable};
+use super::soup::{rays, soup};
+use ropewalk_testkit::Random;
+use ropewalk_testkit::gpu::{tracer, usable};
 
 #[test]
 fn an_adapter_serves() {
@@ -68,8 +69,8 @@ fn no_more_workgroups_are_demanded_than_are_dispatched() {
     tracer.upload(&mut arrays).unwrap();
     let rays = rays(300_001, &mut random);
     assert_eq!(tracer.any_hits(&arrays, &rays, u32::MAX).unwrap().len(), rays.len());
-    tracer.render(&arrays, &crate::frame::request(8192, 9, false)).unwrap();
-    tracer.render(&arrays, &crate::frame::request(9, 8192, false)).unwrap();
+    tracer.render(&arrays, &super::frame::request(8192, 9, false)).unwrap();
+    tracer.render(&arrays, &super::frame::request(9, 8192, false)).unwrap();
 
     let Some((adapter, _)) = adapter() else { return };
     let limits = wgpu::Limits { max_compute_workgroups_per_dimension: 4095, ..required_limits(&adapter) };
@@ -85,7 +86,7 @@ fn works_without_optional_features() {
     let mut tracer = GpuTracer::from_device(device, queue).unwrap();
     let mut arrays = soup(1, &mut Random::new(2));
     tracer.upload(&mut arrays).unwrap();
-    tracer.render(&arrays, &crate::frame::request(8, 8, false)).unwrap();
+    tracer.render(&arrays, &super::frame::request(8, 8, false)).unwrap();
     assert_eq!(tracer.trace_time(), None);
     assert_eq!(tracer.read_image().unwrap().color.len(), 64);
 }
@@ -108,7 +109,7 @@ fn an_error_that_nobody_caught_fails_one_call_and_no_more() {
     let Some(mut tracer) = tracer() else { return };
     let mut random = Random::new(4);
     let mut arrays = soup(2, &mut random);
-    let (rays, request) = (rays(10, &mut random), crate::frame::request(8, 8, false));
+    let (rays, request) = (rays(10, &mut random), super::frame::request(8, 8, false));
     tracer.upload(&mut arrays).unwrap();
     let mistake = wgpu::BufferDescriptor {
         label: Some("the application's mistake"),
@@ -130,7 +131,7 @@ fn an_error_that_nobody_caught_fails_one_call_and_no_more() {
 fn lose(mut tracer: GpuTracer) {
     let mut random = Random::new(3);
     let mut arrays = soup(2, &mut random);
-    let request = crate::frame::request(8, 8, true);
+    let request = super::frame::request(8, 8, true);
     tracer.upload(&mut arrays).unwrap();
     tracer.render(&arrays, &request).unwrap();
     tracer.wgpu_device().destroy();

@@ -7,8 +7,8 @@ use ropewalk::{
     image::Image,
 };
 
-use crate::device::{adapter, device};
-use crate::support::usable;
+use super::device::{adapter, device};
+use ropewalk_testkit::gpu::usable;
 
 fn scene() -> Scene {
     let mut scene = Scene::new();

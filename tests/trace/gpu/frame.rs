@@ -5,9 +5,10 @@ use ropewalk::graph::NodeKey;
 use ropewalk::trace::{Emulated, FrameRequest, Tracer as _};
 use ropewalk::{Error, image::Image};
 
-use crate::device::limited;
-use crate::soup::{Random, params, soup};
-use crate::support::tracer;
+use super::device::limited;
+use super::soup::{params, soup};
+use ropewalk_testkit::Random;
+use ropewalk_testkit::gpu::tracer;
 
 pub(crate) fn request(width: u32, height: u32, aovs: bool) -> FrameRequest {
     FrameRequest { params: params(width, height), needs: Needs::empty(), aovs }

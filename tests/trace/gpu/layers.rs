@@ -11,15 +11,16 @@ use ropewalk::graph::{BlasKind, Geometry};
 use ropewalk::image::Image;
 use ropewalk::trace::{Cpu, Emulated, FrameRequest, Tracer, Traversal};
 
-use crate::soup::{Random, params, soup};
-use crate::support::tracer;
+use super::soup::{params, soup};
+use ropewalk_testkit::Random;
+use ropewalk_testkit::gpu::tracer;
 
 const COUNT: u32 = 60;
 
 /// Large panes that go through each other, in the light.
 fn panes(structure: BlasKind, flags: InstanceFlags) -> DeviceArrays {
     let mut random = Random::new(9);
-    let positions: Vec<Vec3> = (0..3 * COUNT).map(|_| Vec3::from(random.point()) * 4.0).collect();
+    let positions: Vec<Vec3> = (0..3 * COUNT).map(|_| Vec3::from(random.in_cube().to_array()) * 4.0).collect();
     let indices: Vec<[u32; 3]> = (0..COUNT).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
     let blas = Blas::build(&Geometry::new(positions, indices), &BlasBuildParams::new(structure)).unwrap();
     assert_eq!(blas.has_duplicates, structure == BlasKind::KdTree);

@@ -1,6 +1,6 @@
 //! The example's shader, which queries the scene by itself, against exact queries by the CPU.
 
-#[path = "../../examples/ambient_occlusion/occlusion.rs"]
+#[path = "../../../examples/ambient_occlusion/occlusion.rs"]
 mod example;
 
 use std::f32::consts::TAU;
@@ -10,7 +10,7 @@ use glam::{DVec3, Vec3};
 use ropewalk::trace::Cpu;
 use ropewalk::{Core, DeviceChoice, Geometry, Material, Queries, Ray, Renderer, RendererOptions, Scene, Transform};
 
-use crate::support::usable;
+use ropewalk_testkit::gpu::usable;
 
 /// A floor, and a roof over half of it, both sides of which count.
 fn scene() -> Scene {

@@ -8,9 +8,10 @@ use ropewalk::trace::gpu::{GpuTracer, RayBuffers};
 use wgpu::BufferUsages;
 use wgpu::util::DeviceExt as _;
 
-use crate::device::limited;
-use crate::soup::{Random, rays, soup};
-use crate::support::tracer;
+use super::device::limited;
+use super::soup::{rays, soup};
+use ropewalk_testkit::Random;
+use ropewalk_testkit::gpu::tracer;
 
 /// The answers to `rays` by way of buffers.
 fn resident<T: bytemuck::Pod>(tracer: &mut GpuTracer, rays: &[RayRecord], ray_mask: u32, closest: bool) -> Vec<T> {

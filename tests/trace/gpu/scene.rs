@@ -7,9 +7,9 @@ use ropewalk::trace::gpu::GpuTracer;
 use ropewalk::trace::{Cpu, Traversal};
 use ropewalk::{Camera, Core, Geometry, GeometryKey, Material, MaterialKey, NodeKey, Renderer, Scene, Transform, View};
 
-use crate::device::limited;
-use crate::soup::Random;
-use crate::support::tracer;
+use super::device::limited;
+use ropewalk_testkit::Random;
+use ropewalk_testkit::gpu::tracer;
 
 #[test]
 fn after_every_edit_the_gpu_shows_the_scene() {
@@ -75,7 +75,7 @@ impl Edited {
     }
 
     fn add(&mut self, random: &mut Random) {
-        let place = Transform::from_translation(DVec3::from_array(random.point().map(f64::from)) * 2.0);
+        let place = Transform::from_translation(DVec3::from_array(random.in_cube().to_array().map(f64::from)) * 2.0);
         let node = self.scene.add(self.scene.root(), place).unwrap();
         let geometry = pick(&self.geometries, random);
         let material = pick(&self.materials, random);
@@ -86,8 +86,8 @@ impl Edited {
     /// Does something at random, and says what.
     fn edit(&mut self, random: &mut Random) -> &'static str {
         let node = pick(&self.places, random);
-        let point = random.point();
-        match (random.unit() * 8.0) as u32 {
+        let point = random.in_cube().to_array();
+        match (random.unsigned() * 8.0) as u32 {
             0 => {
                 self.add(random);
                 "a node added"
@@ -98,7 +98,7 @@ impl Edited {
                 "a node removed"
             }
             2 => {
-                let sides = 3 + (random.unit() * 200.0) as u32;
+                let sides = 3 + (random.unsigned() * 200.0) as u32;
                 self.scene.set_geometry(pick(&self.geometries, random), cone(sides)).unwrap();
                 "a geometry changed"
             }
@@ -137,7 +137,7 @@ fn colored(color: Vec3) -> Material {
 }
 
 fn pick<T: Copy>(from: &[T], random: &mut Random) -> T {
-    from[((random.unit() * from.len() as f32) as usize).min(from.len() - 1)]
+    from[((random.unsigned() * from.len() as f32) as usize).min(from.len() - 1)]
 }
 
 fn view() -> View {

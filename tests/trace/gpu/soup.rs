@@ -5,27 +5,7 @@ use ropewalk::device::DeviceArrays;
 use ropewalk::device::layout::{
     FrameParams, GeometryRecord, InstanceRecord, MaterialRecord, NONE, Node, PrimitiveRange, RayRecord, Triangle,
 };
-
-/// A small generator of the same numbers everywhere (PCG).
-pub(crate) struct Random(u64);
-
-impl Random {
-    pub(crate) fn new(seed: u64) -> Self {
-        Self(seed.wrapping_mul(2).wrapping_add(1))
-    }
-
-    /// Between 0 and 1.
-    pub(crate) fn unit(&mut self) -> f32 {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        let word = (((self.0 >> 18) ^ self.0) >> 27) as u32;
-        (word.rotate_right((self.0 >> 59) as u32) >> 8) as f32 / (1 << 24) as f32
-    }
-
-    /// Each coordinate between -1 and 1.
-    pub(crate) fn point(&mut self) -> [f32; 3] {
-        [0; 3].map(|_| self.unit() * 2.0 - 1.0)
-    }
-}
+use ropewalk_testkit::Random;
 
 /// Triangles of an instance, all in one leaf.
 pub(crate) const TRIANGLES_A_LEAF: usize = 4;
@@ -78,7 +58,7 @@ pub(crate) fn soup(instances: usize, random: &mut Random) -> DeviceArrays {
 
 /// Gives instance `i` new triangles and a new place.
 pub(crate) fn set_instance(arrays: &mut DeviceArrays, i: usize, random: &mut Random) {
-    let (center, scale) = (random.point(), SCALE);
+    let (center, scale) = (random.in_cube().to_array(), SCALE);
     let local_from_world = [0, 1, 2].map(|row| {
         let mut values = [0.0, 0.0, 0.0, -center[row] / scale];
         values[row] = 1.0 / scale;
@@ -135,7 +115,7 @@ pub(crate) fn link(arrays: &mut DeviceArrays) {
 /// Rays from a sphere around the soup to points in it.
 pub(crate) fn rays(count: usize, random: &mut Random) -> Vec<RayRecord> {
     let mut ray = || {
-        let (from, to) = (random.point().map(|x| x * 3.0), random.point());
+        let (from, to) = (random.in_cube().to_array().map(|x| x * 3.0), random.in_cube().to_array());
         let direction = [0, 1, 2].map(|i| to[i] - from[i]);
         RayRecord { origin: from, t_min: 0.0, direction, t_max: f32::MAX }
     };
@@ -162,6 +142,6 @@ pub(crate) fn params(width: u32, height: u32) -> FrameParams {
 }
 
 fn random_triangle(random: &mut Random) -> Triangle {
-    let [v0, v1, v2] = [random.point(), random.point(), random.point()];
+    let [v0, v1, v2] = [random.in_cube().to_array(), random.in_cube().to_array(), random.in_cube().to_array()];
     Triangle { v0, primitive: 0, v1, _pad0: 0, v2, _pad1: 0 }
 }

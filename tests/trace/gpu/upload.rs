@@ -7,9 +7,10 @@ use ropewalk::device::layout::{GeometryRecord, InstanceRecord, MaterialRecord, N
 use ropewalk::trace::gpu::GpuTracer;
 use ropewalk::trace::{Emulated, Tracer as _};
 
-use crate::device::limited;
-use crate::soup::{Random, TRIANGLES_A_LEAF, link, rays, set_instance, soup};
-use crate::support::tracer;
+use super::device::limited;
+use super::soup::{TRIANGLES_A_LEAF, link, rays, set_instance, soup};
+use ropewalk_testkit::Random;
+use ropewalk_testkit::gpu::tracer;
 
 #[test]
 fn the_first_upload_copies_all_and_the_second_nothing() {
@@ -103,10 +104,10 @@ fn random_edits_leave_the_gpu_with_what_the_arrays_hold() {
     let rays = rays(200, &mut random);
     for _ in 0..60 {
         let count = arrays.instances.len();
-        match random.unit() {
+        match random.unsigned() {
             x if x < 0.6 => {
                 for _ in 0..3 {
-                    let i = (random.unit() * count as f32) as usize;
+                    let i = (random.unsigned() * count as f32) as usize;
                     set_instance(&mut arrays, i.min(count), &mut random);
                 }
             }
@@ -210,9 +211,9 @@ fn large_arrays_lie_in_several_bindings_and_rays_hit_the_same() {
         assert_eq!(tracer.upload(&mut arrays).unwrap(), 0);
     }
     assert!(tracer.pipelines_made() > pipelines, "whole arrays are read by a kernel of their own");
-    tracer.render(&arrays, &crate::frame::request(64, 48, true)).unwrap();
+    tracer.render(&arrays, &super::frame::request(64, 48, true)).unwrap();
     let mut emulated = Emulated::default();
-    emulated.render(&arrays, &crate::frame::request(64, 48, true)).unwrap();
+    emulated.render(&arrays, &super::frame::request(64, 48, true)).unwrap();
     let (found, expected) = (tracer.read_image().unwrap().aovs.unwrap(), emulated.read_image().unwrap().aovs.unwrap());
     assert_eq!((found.node, found.triangle), (expected.node, expected.triangle));
 }
@@ -241,7 +242,7 @@ fn tracing_before_any_upload_is_an_error() {
     let arrays = DeviceArrays::default();
     let error = tracer.closest_hits(&arrays, &[], 1).unwrap_err();
     assert!(error.to_string().contains("no scene was uploaded"), "{error}");
-    assert!(tracer.render(&arrays, &crate::frame::request(4, 4, false)).is_err());
+    assert!(tracer.render(&arrays, &super::frame::request(4, 4, false)).is_err());
 }
 
 #[test]

@@ -2,16 +2,14 @@
 
 #![allow(clippy::panic, clippy::unwrap_used, reason = "a test fails by panicking")]
 
-mod kernel_support;
-
 use bytemuck::Zeroable as _;
 use glam::DAffine3;
-use kernel_support::{Mesh, Placed, arrays};
 use ropewalk::Error;
 use ropewalk::device::Needs;
 use ropewalk::device::layout::{FrameParams, LIGHT_DIRECTIONAL, LightRecord, MaterialRecord};
 use ropewalk::image::Image;
 use ropewalk::trace::{Cpu, Emulated, FrameRequest, Recursive, Tracer};
+use ropewalk_testkit::{Mesh, Placed, arrays};
 
 /// A frame seen from z = 4 towards the origin, under a white sky.
 fn request(width: u32, height: u32, aovs: bool) -> FrameRequest {

@@ -2,15 +2,13 @@
 
 #![allow(clippy::panic, clippy::unwrap_used, reason = "a test fails by panicking")]
 
-mod kernel_support;
-
 use glam::{DAffine3, DQuat, DVec3};
-use kernel_support::oracle::{Candidate, Fault, Verdict, candidates, fault, is_sure};
-use kernel_support::{Mesh, Placed, Random, arrays, tracers};
 use rayon::prelude::*;
 use ropewalk::device::DeviceArrays;
 use ropewalk::device::layout::{InstanceFlags, NONE, RayRecord};
 use ropewalk::trace::Tracer;
+use ropewalk_testkit::oracle::{Candidate, Fault, Verdict, candidates, fault, is_sure};
+use ropewalk_testkit::{Mesh, Placed, Random, arrays, tracers};
 
 /// What a comparison found.
 #[derive(Default, Debug)]
@@ -91,7 +89,7 @@ fn rays(random: &mut Random, center: DVec3, radius: f64, count: usize) -> Vec<Ra
 fn random_triangles() {
     for seed in 0..4 {
         let mut arrays = arrays(&[Mesh::soup(seed, 700)], &[Placed::new(0, DAffine3::IDENTITY)]);
-        let rays = rays(&mut Random(seed), DVec3::ZERO, 1.0, 4000);
+        let rays = rays(&mut Random::new(seed), DVec3::ZERO, 1.0, 4000);
         check(&format!("soup {seed}"), &mut arrays, &rays, 1);
     }
 }
@@ -100,7 +98,7 @@ fn random_triangles() {
 fn geometry_of_any_size() {
     for scale in [1e-20, 1e-6, 1e6, 1e15, 1e20] {
         let mut arrays = arrays(&[Mesh::soup(9, 500).scaled(scale)], &[Placed::new(0, DAffine3::IDENTITY)]);
-        let rays = rays(&mut Random(3), DVec3::ZERO, f64::from(scale), 3000);
+        let rays = rays(&mut Random::new(3), DVec3::ZERO, f64::from(scale), 3000);
         check(&format!("soup x {scale:e}"), &mut arrays, &rays, 1);
     }
 }
@@ -128,7 +126,7 @@ fn placed(random: &mut Random, count: usize, spread: f64) -> Vec<Placed> {
 fn nested_and_mirrored_transforms() {
     let meshes = [Mesh::soup(1, 40), Mesh::icosphere(1)];
     for seed in 0..4 {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let placed = placed(&mut random, 40, 4.0);
         let mirrored = placed.iter().filter(|p| p.world_from_local.matrix3.determinant() < 0.0).count();
         assert!(mirrored > 10 && mirrored < 30);
@@ -141,7 +139,7 @@ fn nested_and_mirrored_transforms() {
 
 #[test]
 fn back_faces_are_culled_as_gltf_defines_them() {
-    let mut random = Random(11);
+    let mut random = Random::new(11);
     let mut placed = placed(&mut random, 30, 3.0);
     for p in &mut placed {
         p.mesh = 0;
@@ -157,13 +155,13 @@ fn far_from_the_origin() {
     let world_from_local =
         DAffine3::from_scale_rotation_translation(DVec3::splat(100.0), DQuat::from_rotation_x(1.0), center);
     let mut arrays = arrays(&[Mesh::icosphere(2)], &[Placed::new(0, world_from_local)]);
-    check("far", &mut arrays, &rays(&mut Random(5), center, 100.0, 3000), 1);
+    check("far", &mut arrays, &rays(&mut Random::new(5), center, 100.0, 3000), 1);
 }
 
 #[test]
 fn hits_lie_between_t_min_and_t_max() {
     let mut arrays = arrays(&[Mesh::soup(2, 500)], &[Placed::new(0, DAffine3::IDENTITY)]);
-    let mut random = Random(8);
+    let mut random = Random::new(8);
     let mut rays = rays(&mut random, DVec3::ZERO, 1.0, 4000);
     for ray in &mut rays {
         let length = glam::Vec3::from_array(ray.direction).length();
@@ -176,7 +174,7 @@ fn hits_lie_between_t_min_and_t_max() {
 #[test]
 fn any_hit_agrees_with_f64() {
     let meshes = [Mesh::soup(1, 40), Mesh::icosphere(1)];
-    let mut random = Random(6);
+    let mut random = Random::new(6);
     let mut arrays = arrays(&meshes, &placed(&mut random, 40, 4.0));
     let mut rays = rays(&mut random, DVec3::ZERO, 5.0, 3000);
     for ray in &mut rays {
@@ -215,7 +213,7 @@ fn bunny() {
     let radius = f64::from((bounds.max - bounds.min).length()) / 2.0;
     let center = bounds.center().as_dvec3();
     let mut arrays = arrays(&[mesh], &[Placed::new(0, DAffine3::IDENTITY)]);
-    check("bunny", &mut arrays, &rays(&mut Random(1), center, radius, 1500), 1);
+    check("bunny", &mut arrays, &rays(&mut Random::new(1), center, radius, 1500), 1);
 }
 
 #[test]
@@ -224,7 +222,7 @@ fn of_equal_hits_the_lower_instance_and_primitive_wins() {
     let mut mesh = Mesh::cube();
     mesh.indices = mesh.indices.iter().cycle().take(144).copied().collect();
     let mut arrays = arrays(&[mesh], &vec![Placed::new(0, DAffine3::IDENTITY); 12]);
-    let rays = rays(&mut Random(4), DVec3::ZERO, 1.0, 2000);
+    let rays = rays(&mut Random::new(4), DVec3::ZERO, 1.0, 2000);
     for tracer in &mut tracers() {
         tracer.upload(&mut arrays).unwrap();
         let hits = tracer.closest_hits(&arrays, &rays, 1).unwrap();

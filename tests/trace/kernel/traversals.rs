@@ -2,14 +2,12 @@
 
 #![allow(clippy::panic, clippy::unwrap_used, reason = "a test fails by panicking")]
 
-mod kernel_support;
-
 use glam::{DAffine3, DQuat, DVec3, Vec3};
-use kernel_support::{Builder, Mesh, Placed, Random, arrays_by, tracers};
 use ropewalk::accel::Tlas;
 use ropewalk::device::DeviceArrays;
 use ropewalk::device::layout::{InstanceFlags, NONE, Node, PrimitiveRange, RayRecord};
 use ropewalk::trace::{Emulated, Recursive, Tracer as _, Traversal, TraversalCounts};
+use ropewalk_testkit::{Builder, Mesh, Placed, Random, arrays_by, tracers};
 
 /// All executors and layouts agree on these rays.
 fn agree(arrays: &mut DeviceArrays, rays: &[RayRecord], ray_mask: u32) {
@@ -61,7 +59,7 @@ fn placed(random: &mut Random, meshes: usize, count: usize) -> Vec<Placed> {
 
 #[test]
 fn fields_of_instances() {
-    let mut random = Random(1);
+    let mut random = Random::new(1);
     let meshes = [Mesh::soup(1, 300), Mesh::icosphere(3), Mesh::cube(), Mesh::soup(2, 1)];
     for instances in [1, 2, 40, 400] {
         let placed = placed(&mut random, meshes.len(), instances);
@@ -87,7 +85,7 @@ fn aimed(random: &mut Random, placed: &[Placed], rays: Vec<RayRecord>) -> Vec<Ra
 
 #[test]
 fn meshes_of_all_sizes() {
-    let mut random = Random(2);
+    let mut random = Random::new(2);
     for size in [1e-9, 1.0, 1e9] {
         let mesh = Mesh::displaced_icosphere(5).scaled(size);
         let mut arrays = arrays_by(Builder::Product, &[mesh], &[Placed::new(0, DAffine3::IDENTITY)]);
@@ -99,7 +97,7 @@ fn meshes_of_all_sizes() {
 /// any that is built.
 #[test]
 fn a_top_level_deeper_than_the_stacks() {
-    let mut random = Random(3);
+    let mut random = Random::new(3);
     // Small and apart: what is passed over is missed.
     let mut one = || {
         let translation = random.in_cube().as_dvec3() * 2.0;
@@ -144,7 +142,7 @@ fn a_top_level_deeper_than_the_stacks() {
 
 #[test]
 fn wide_nodes_cost_fewer_fetches() {
-    let mut random = Random(4);
+    let mut random = Random::new(4);
     let mesh = Mesh::displaced_icosphere(6);
     let arrays = arrays_by(Builder::Product, &[mesh], &[Placed::new(0, DAffine3::IDENTITY)]);
     let rays = rays(&mut random, 2.0, 20_000);
@@ -158,7 +156,7 @@ fn wide_nodes_cost_fewer_fetches() {
 
 #[test]
 fn recursion_visits_what_ropes_do() {
-    let mut random = Random(5);
+    let mut random = Random::new(5);
     let meshes = [Mesh::displaced_icosphere(4), Mesh::displaced_icosphere(2)];
     let mut arrays = arrays_by(Builder::Product, &meshes, &placed(&mut random, 2, 40));
     let rays = rays(&mut random, 4.0, 5000);

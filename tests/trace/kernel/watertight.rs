@@ -2,12 +2,10 @@
 
 #![allow(clippy::panic, clippy::unwrap_used, reason = "a test fails by panicking")]
 
-mod kernel_support;
-
 use glam::{DAffine3, DQuat, DVec3, Vec3};
-use kernel_support::{Builder, Mesh, Placed, Random, arrays_by, tracers};
 use ropewalk::device::layout::{NONE, RayRecord};
 use ropewalk::trace::{Cpu, Emulated, Tracer, Traversal};
+use ropewalk_testkit::{Builder, Mesh, Placed, Random, arrays_by, tracers};
 
 /// Rays into each mesh at each scale: half of them with scaled geometry, half with a scaled instance of it.
 const RAYS: usize = 500_000;
@@ -36,7 +34,7 @@ fn ray_from_inside(random: &mut Random, mesh: &Mesh, radius: f32) -> (Vec3, Vec3
 fn none_escapes(tracer: &mut dyn Tracer, builder: Builder, mesh: &Mesh, radius: f32, world_from_local: DAffine3) {
     let mut arrays = arrays_by(builder, std::slice::from_ref(mesh), &[Placed::new(0, world_from_local)]);
     tracer.upload(&mut arrays).unwrap();
-    let mut random = Random(radius.to_bits().into());
+    let mut random = Random::new(radius.to_bits().into());
     let world = world_from_local.as_affine3a();
     let mut traced = 0;
     while traced < RAYS / 2 {
@@ -86,7 +84,7 @@ fn no_ray_escapes_closed_meshes_cpu() {
 #[cfg(feature = "gpu")]
 #[test]
 fn no_ray_escapes_closed_meshes_gpu() {
-    if let Some(gpu) = kernel_support::gpu::tracer() {
+    if let Some(gpu) = ropewalk_testkit::gpu::tracer() {
         no_ray_escapes_closed_meshes(&mut gpu.with_layout(Traversal::Rope));
     }
 }
@@ -94,7 +92,7 @@ fn no_ray_escapes_closed_meshes_gpu() {
 #[cfg(feature = "gpu")]
 #[test]
 fn no_ray_escapes_closed_meshes_gpu_wide() {
-    if let Some(gpu) = kernel_support::gpu::tracer() {
+    if let Some(gpu) = ropewalk_testkit::gpu::tracer() {
         no_ray_escapes_closed_meshes(&mut gpu.with_layout(Traversal::Wide));
     }
 }

@@ -1,8 +1,9 @@
 //! What the library renders of the same scene, without a window.
 
 use ropewalk::glam::DVec3;
-use ropewalk::image::{Image, PIXELS_PER_DEGREE, flip};
+use ropewalk::image::Image;
 use ropewalk::{Camera, Core, DeviceChoice, NodeKey, Renderer, RendererOptions, Scene, View};
+use ropewalk_testkit::flip::{PIXELS_PER_DEGREE, flip};
 
 use crate::builtin;
 

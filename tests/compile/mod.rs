@@ -1,0 +1,5 @@
+//! The compiler: from scenes and their changes to device arrays.
+
+mod compiler;
+mod cores;
+mod deformation;

@@ -1,0 +1,3 @@
+//! The examples.
+
+mod render;

@@ -1,0 +1,7 @@
+//! Frames of whole scenes.
+
+mod golden;
+mod lens_shift;
+mod real_scenes;
+mod renderer;
+mod shading;

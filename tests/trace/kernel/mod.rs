@@ -1,0 +1,6 @@
+//! The kernel on every executor, against brute force and against itself.
+
+mod executors;
+mod oracle;
+mod traversals;
+mod watertight;

@@ -1,0 +1,6 @@
+//! The executors and the shaders.
+
+#[cfg(feature = "gpu")]
+mod gpu;
+mod kernel;
+mod shader;

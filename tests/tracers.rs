@@ -1,0 +1,3 @@
+//! What traces device arrays: the kernel on each executor, and its shaders.
+
+mod trace;
