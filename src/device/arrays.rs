@@ -214,11 +214,8 @@ mod tests {
     #[test]
     fn copying_dirty_ranges_keeps_a_copy_equal() {
         let (mut buffer, mut copy) = (DeviceBuffer::default(), Vec::new());
-        let mut state = 1u32;
-        let mut random = |below: u32| {
-            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            (state >> 8) % below
-        };
+        let mut generator = fastrand::Rng::with_seed(1);
+        let mut random = |end: u32| generator.u32(..end);
         let mut compared = 0;
         for _ in 0..10_000 {
             match random(8) {

@@ -121,17 +121,11 @@ mod tests {
     use crate::trace::kernel::is_layered;
     use crate::{BlasKind, Core, Geometry, Material, Quality, Scene};
 
-    /// Numbers between -1 and 1, by a linear congruence.
-    fn random(state: &mut u64) -> f32 {
-        *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (*state >> 40) as f32 / (1 << 23) as f32 - 1.0
-    }
-
     /// The widest lanes are those that every other test runs with: here are all that this processor has.
     #[test]
     fn all_lanes_meet_what_the_kernel_meets() {
-        let state = &mut 1;
-        let mut vector = |scale: f32| Vec3::new(random(state), random(state), random(state)) * scale;
+        let mut random = fastrand::Rng::with_seed(1);
+        let mut vector = |scale: f32| (Vec3::new(random.f32(), random.f32(), random.f32()) * 2.0 - 1.0) * scale;
         let corners: Vec<Vec3> = (0..600)
             .flat_map(|_| {
                 let (at, a, b) = (vector(1.0), vector(0.2), vector(0.2));

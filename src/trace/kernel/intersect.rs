@@ -269,13 +269,12 @@ mod tests {
     /// The relative error of an operation that rounds to nearest.
     const HALF_ULP: f64 = 1.0 / (1 << 24) as f64;
 
-    /// Numbers from a linear congruential generator, 0 to 1.
-    struct Random(u64);
+    /// Random numbers from 0 to 1.
+    struct Random(fastrand::Rng);
 
     impl Random {
         fn next(&mut self) -> f32 {
-            self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            (self.0 >> 40) as f32 / (1 << 24) as f32
+            self.0.f32()
         }
 
         fn in_cube(&mut self) -> Vec3 {
@@ -326,7 +325,7 @@ mod tests {
 
     #[test]
     fn distances_are_as_exact_as_the_plane_is_known() {
-        let mut random = Random(1);
+        let mut random = Random(fastrand::Rng::with_seed(1));
         let (mut tested, mut close) = (0, 0);
         for i in 0..600_000 {
             let scale = [1e-18, 1e-6, 1.0, 1e6, 1e18][i % 5];

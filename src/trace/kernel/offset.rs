@@ -92,13 +92,12 @@ mod tests {
     use crate::trace::kernel::surface::{MIN_COSINE, surface_at};
     use crate::trace::kernel::{KernelScene, any_hit, closest_hit};
 
-    /// Numbers from a linear congruential generator, 0 to 1.
-    struct Random(u64);
+    /// Random numbers from 0 to 1, and directions.
+    struct Random(fastrand::Rng);
 
     impl Random {
         fn next(&mut self) -> f64 {
-            self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            (self.0 >> 11) as f64 / (1u64 << 53) as f64
+            self.0.f64()
         }
 
         fn direction(&mut self) -> DVec3 {
@@ -191,7 +190,7 @@ mod tests {
         let kernel = KernelScene::new(compiler.arrays());
         let extent = place.matrix3.determinant().abs().cbrt() * size;
 
-        let mut random = Random(17);
+        let mut random = Random(fastrand::Rng::with_seed(17));
         let mut found = 0;
         for _ in 0..hits * 10 {
             let triangle = &kernel.triangles[(random.next() * kernel.triangles.len() as f64) as usize];

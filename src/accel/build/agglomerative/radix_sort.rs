@@ -63,14 +63,12 @@ mod tests {
 
     #[test]
     fn sorts_as_a_stable_comparison_sort_does() {
-        let mut state = 1_u64;
+        let mut random = fastrand::Rng::with_seed(1);
         for len in [0, 1, 1000, RADIX_SORT_THRESHOLD, RADIX_SORT_THRESHOLD + 12_345] {
             for bits in [0..64, 20..64, 61..64] {
-                let random = |_| {
-                    state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-                    if state >> 62 == 0 { u64::MAX } else { state.rotate_left(32) }
-                };
-                let mut keys: Vec<u64> = (0..len).map(random).collect();
+                // A quarter of the keys are equal.
+                let key = |_| if random.u8(..4) == 0 { u64::MAX } else { random.u64(..) };
+                let mut keys: Vec<u64> = (0..len).map(key).collect();
                 let mut expected = keys.clone();
                 expected.sort_by_key(|key| key >> bits.start);
                 sort(&mut keys, bits.start);
