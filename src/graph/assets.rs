@@ -6,7 +6,6 @@ use glam::Vec3;
 
 use super::changes::Change;
 use super::core::CoreSlot;
-use super::scene::stale_key_error;
 use super::store::Store;
 use super::value_checks::{check_material, check_texture};
 use super::{Core, CoreKey, Geometry, GeometryKey, Material, MaterialKey, Scene, Texture, TextureKey};
@@ -167,7 +166,7 @@ impl Scene {
     /// # Errors
     /// [`Error::StaleKey`](crate::Error::StaleKey).
     pub fn material(&self, key: MaterialKey) -> Result<&Material> {
-        self.materials.get(key).map(|used| &used.value).ok_or_else(|| stale_key_error(key))
+        Ok(&self.materials.require(key)?.value)
     }
 
     /// All materials, in no particular order.
@@ -191,6 +190,26 @@ impl Scene {
         Ok(())
     }
 
+    /// Edits a material for all cores that use it: [`set_material`](Self::set_material) with a changed copy. O(1).
+    ///
+    /// ```
+    /// use ropewalk::{Material, Scene};
+    ///
+    /// let mut scene = Scene::new();
+    /// let material = scene.add_material(Material::default())?;
+    /// scene.edit_material(material, |material| material.roughness = 0.2)?;
+    /// assert_eq!(scene.material(material)?.roughness, 0.2);
+    /// # Ok::<(), ropewalk::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// As [`set_material`](Self::set_material).
+    pub fn edit_material(&mut self, key: MaterialKey, edit: impl FnOnce(&mut Material)) -> Result<()> {
+        let mut material = self.material(key)?.clone();
+        edit(&mut material);
+        self.set_material(key, material)
+    }
+
     /// Adds a texture that no material uses yet. O(1).
     ///
     /// # Errors
@@ -207,7 +226,7 @@ impl Scene {
     /// # Errors
     /// [`Error::StaleKey`](crate::Error::StaleKey).
     pub fn texture(&self, key: TextureKey) -> Result<&Texture> {
-        self.textures.get(key).map(|used| &used.value).ok_or_else(|| stale_key_error(key))
+        Ok(&self.textures.require(key)?.value)
     }
 
     /// All textures, in no particular order.
@@ -302,7 +321,7 @@ impl Scene {
     }
 
     fn stored_geometry(&self, key: GeometryKey) -> Result<&StoredGeometry> {
-        self.geometries.get(key).map(|used| &used.value).ok_or_else(|| stale_key_error(key))
+        Ok(&self.geometries.require(key)?.value)
     }
 
     pub(super) fn acquire_textures(&mut self, material: &Material) {

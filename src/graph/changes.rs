@@ -10,9 +10,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Weak};
 
 use super::key_map::KeyMap;
-use super::validate::require_invariant;
 use super::{CoreKey, GeometryKey, MaterialKey, NodeKey, ObjectKey, SceneId, TextureKey};
 use crate::Result;
+use crate::error::require_invariant;
 
 bitflags::bitflags! {
     /// What changed in an object. [`ADDED`](Self::ADDED) and [`REMOVED`](Self::REMOVED) stand alone: they say it all.

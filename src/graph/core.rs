@@ -1,10 +1,12 @@
 //! Cores: what a node is. Nodes that share a core share its edits.
 
+use std::fmt;
+
 use serde::{Deserialize, Serialize};
 
 use super::{Billboard, Camera, CoreKey, GeometryKey, Light, Lod, MaterialKey, NodeKey, Switch, Transform};
 
-/// What a node is.
+/// The content of a node.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum Core {
@@ -39,19 +41,19 @@ pub enum Core {
 }
 
 impl Core {
-    /// The kind in one word, as error messages name it.
-    pub fn kind(&self) -> &'static str {
+    /// The kind, without the content.
+    pub fn kind(&self) -> CoreKind {
         match self {
-            Self::Group => "group",
-            Self::Transform(_) => "transform",
-            Self::Switch(_) => "switch",
-            Self::Lod(_) => "level of detail",
-            Self::Billboard(_) => "billboard",
-            Self::MaterialGroup(_) => "material group",
-            Self::Instance(_) => "instance",
-            Self::Geometry { .. } => "geometry",
-            Self::Light(_) => "light",
-            Self::Camera(_) => "camera",
+            Self::Group => CoreKind::Group,
+            Self::Transform(_) => CoreKind::Transform,
+            Self::Switch(_) => CoreKind::Switch,
+            Self::Lod(_) => CoreKind::Lod,
+            Self::Billboard(_) => CoreKind::Billboard,
+            Self::MaterialGroup(_) => CoreKind::MaterialGroup,
+            Self::Instance(_) => CoreKind::Instance,
+            Self::Geometry { .. } => CoreKind::Geometry,
+            Self::Light(_) => CoreKind::Light,
+            Self::Camera(_) => CoreKind::Camera,
         }
     }
 
@@ -77,6 +79,56 @@ impl Core {
             Self::Geometry { material, .. } | Self::MaterialGroup(material) => Some(material),
             _ => None,
         }
+    }
+}
+
+/// The kind of a [`Core`]. `Display` gives its name in words: "level of detail".
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
+#[non_exhaustive]
+pub enum CoreKind {
+    /// [`Core::Group`].
+    Group,
+    /// [`Core::Transform`].
+    Transform,
+    /// [`Core::Switch`].
+    Switch,
+    /// [`Core::Lod`].
+    Lod,
+    /// [`Core::Billboard`].
+    Billboard,
+    /// [`Core::MaterialGroup`].
+    MaterialGroup,
+    /// [`Core::Instance`].
+    Instance,
+    /// [`Core::Geometry`].
+    Geometry,
+    /// [`Core::Light`].
+    Light,
+    /// [`Core::Camera`].
+    Camera,
+}
+
+impl CoreKind {
+    /// The name in words, as error messages and user interfaces show it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Group => "group",
+            Self::Transform => "transform",
+            Self::Switch => "switch",
+            Self::Lod => "level of detail",
+            Self::Billboard => "billboard",
+            Self::MaterialGroup => "material group",
+            Self::Instance => "instance",
+            Self::Geometry => "geometry",
+            Self::Light => "light",
+            Self::Camera => "camera",
+        }
+    }
+}
+
+impl fmt::Display for CoreKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.name())
     }
 }
 

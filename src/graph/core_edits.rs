@@ -2,9 +2,9 @@
 
 use super::changes::Change;
 use super::core::CoreSlot;
-use super::scene::stale_key_error;
 use super::value_checks::{check_core, check_transform};
-use super::{Core, CoreKey, CoreSource, NodeKey, Scene, Transform};
+use super::{Core, CoreKey, CoreKind, CoreSource, NodeKey, Scene, Transform};
+use crate::error::RootEdit;
 use crate::{Error, Result};
 
 /// Cores.
@@ -21,7 +21,7 @@ impl Scene {
     ///
     /// # Errors
     /// [`Error::StaleKey`].
-    pub fn core(&self, node: NodeKey) -> Result<&Core> {
+    pub fn node_core(&self, node: NodeKey) -> Result<&Core> {
         Ok(&self.cores[self.node(node)?.core].core)
     }
 
@@ -37,7 +37,7 @@ impl Scene {
     ///
     /// # Errors
     /// [`Error::StaleKey`].
-    pub fn core_by_key(&self, key: CoreKey) -> Result<&Core> {
+    pub fn core(&self, key: CoreKey) -> Result<&Core> {
         Ok(&self.core_slot(key)?.core)
     }
 
@@ -54,7 +54,7 @@ impl Scene {
     /// [`Error::StaleKey`] for the node or what the core refers to; [`Error::OutOfRange`] for a bad number in a new
     /// core; [`Error::Root`] for the root and a core other than a group; [`Error::Cycle`] if the core instances the node,
     /// or something that shows it.
-    pub fn set_core(&mut self, node: NodeKey, core: impl Into<CoreSource>) -> Result<()> {
+    pub fn assign_core(&mut self, node: NodeKey, core: impl Into<CoreSource>) -> Result<()> {
         let old = self.node(node)?.core;
         let source = core.into();
         if node == self.root {
@@ -67,7 +67,7 @@ impl Scene {
         }
         match &source {
             CoreSource::New(core) => self.check_instance_cycle(node, core)?,
-            CoreSource::Shared(key) => self.check_instance_cycle(node, self.core_by_key(*key)?)?,
+            CoreSource::Shared(key) => self.check_instance_cycle(node, self.core(*key)?)?,
         }
         let new = self.insert_or_share_core(source)?;
         self.save_prior_state(node);
@@ -86,7 +86,7 @@ impl Scene {
     /// [`Error::StaleKey`] for the core or what it is to refer to; [`Error::OutOfRange`] for a bad number;
     /// [`Error::Root`] if the root uses it and it would no longer be a group; [`Error::Cycle`] if it would instance one of
     /// its users, or something that shows one.
-    pub fn edit_core(&mut self, key: CoreKey, core: Core) -> Result<()> {
+    pub fn set_core(&mut self, key: CoreKey, core: Core) -> Result<()> {
         if self.core_slot(key)?.core == core {
             return Ok(());
         }
@@ -101,6 +101,30 @@ impl Scene {
         let old = self.replace_core(key, core);
         self.release_assets(key, &old);
         Ok(())
+    }
+
+    /// Edits the content of a core for all nodes that use it: [`set_core`](Self::set_core) with a changed copy. O(users).
+    ///
+    /// ```
+    /// use ropewalk::{Core, Scene, Switch};
+    ///
+    /// let mut scene = Scene::new();
+    /// let switch = scene.add_core(Core::Switch(Switch::All))?;
+    /// scene.edit_core(switch, |core| {
+    ///     if let Core::Switch(shown) = core {
+    ///         *shown = Switch::One(2);
+    ///     }
+    /// })?;
+    /// assert_eq!(*scene.core(switch)?, Core::Switch(Switch::One(2)));
+    /// # Ok::<(), ropewalk::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// As [`set_core`](Self::set_core).
+    pub fn edit_core(&mut self, key: CoreKey, edit: impl FnOnce(&mut Core)) -> Result<()> {
+        let mut core = self.core(key)?.clone();
+        edit(&mut core);
+        self.set_core(key, core)
     }
 
     /// Puts another core, whose assets count it, in the place of one, which it gives back.
@@ -131,9 +155,9 @@ impl Scene {
     /// [`Error::StaleKey`]; [`Error::WrongCore`] if the node has no transform: move its parent, or put a transform
     /// node above it.
     pub fn local(&self, node: NodeKey) -> Result<Transform> {
-        match *self.core(node)? {
+        match *self.node_core(node)? {
             Core::Transform(transform) => Ok(transform),
-            ref core => Err(Error::WrongCore { node: node.into(), expected: "transform", found: core.kind() }),
+            ref core => Err(Error::WrongCore { node, expected: CoreKind::Transform, found: core.kind() }),
         }
     }
 
@@ -150,7 +174,7 @@ impl Scene {
         Ok(())
     }
 
-    /// Moves all users of a transform core. What [`edit_core`](Self::edit_core) does, without what it does for other cores.
+    /// Moves all users of a transform core. What [`set_core`](Self::set_core) does, without what it does for other cores.
     fn edit_transform(&mut self, key: CoreKey, transform: Transform) -> Result<()> {
         let local = check_transform(&transform)?;
         self.save_prior_state(key);
@@ -215,20 +239,20 @@ impl Scene {
     fn check_root_core(&self, source: &CoreSource) -> Result<()> {
         let core = match source {
             CoreSource::New(core) => core,
-            CoreSource::Shared(key) => self.core_by_key(*key)?,
+            CoreSource::Shared(key) => self.core(*key)?,
         };
         match core {
             Core::Group => Ok(()),
-            _ => Err(Error::Root { attempt: "given a core other than a group" }),
+            other => Err(Error::Root { attempt: RootEdit::SetCore(other.kind()) }),
         }
     }
 
     pub(super) fn check_core(&self, core: &Core) -> Result<()> {
         if let Some(geometry) = core.geometry() {
-            self.geometries.get(geometry).ok_or_else(|| stale_key_error(geometry))?;
+            self.geometries.require(geometry)?;
         }
         if let Some(material) = core.material() {
-            self.materials.get(material).ok_or_else(|| stale_key_error(material))?;
+            self.materials.require(material)?;
         }
         if let Core::Instance(target) = *core {
             self.node(target)?;

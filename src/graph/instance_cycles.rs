@@ -31,7 +31,7 @@ impl Scene {
     pub(super) fn check_instance_cycle(&self, node: NodeKey, core: &Core) -> Result<()> {
         match *core {
             Core::Instance(target) if self.is_ancestor_or_self(target, node) => {
-                Err(Error::Cycle { node: target.into(), parent: node.into() })
+                Err(Error::Cycle { node: target, parent: node })
             }
             _ => Ok(()),
         }
@@ -58,7 +58,7 @@ impl Scene {
     /// Makes groups of the cores that instance a node, which is about to go.
     pub(super) fn replace_instances_by_groups(&mut self, node: NodeKey) -> Result<()> {
         for core in self.instancers.get(&node).cloned().unwrap_or_default() {
-            self.edit_core(core, Core::Group)?;
+            self.set_core(core, Core::Group)?;
         }
         Ok(())
     }

@@ -36,21 +36,26 @@ pub enum ObjectKey {
 
 impl fmt::Display for ObjectKey {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (kind, key) = match *self {
-            Self::Node(key) => ("node", key.data()),
-            Self::Core(key) => ("core", key.data()),
-            Self::Geometry(key) => ("geometry", key.data()),
-            Self::Material(key) => ("material", key.data()),
-            Self::Texture(key) => ("texture", key.data()),
-        };
-        // slotmap writes "3v1": slot 3, version 1.
-        write!(f, "{kind} {key:?}")
+        match self {
+            Self::Node(key) => key.fmt(f),
+            Self::Core(key) => key.fmt(f),
+            Self::Geometry(key) => key.fmt(f),
+            Self::Material(key) => key.fmt(f),
+            Self::Texture(key) => key.fmt(f),
+        }
     }
 }
 
-macro_rules! object_from_key {
-    ($($key:ident => $variant:ident),* $(,)?) => {
-        $(impl From<$key> for ObjectKey {
+macro_rules! key_of {
+    ($($key:ident => $variant:ident, $kind:literal;)*) => {
+        $(impl fmt::Display for $key {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                // slotmap writes "3v1": slot 3, version 1.
+                write!(f, concat!($kind, " {:?}"), self.data())
+            }
+        }
+
+        impl From<$key> for ObjectKey {
             fn from(key: $key) -> Self {
                 Self::$variant(key)
             }
@@ -58,10 +63,10 @@ macro_rules! object_from_key {
     };
 }
 
-object_from_key! {
-    NodeKey => Node,
-    CoreKey => Core,
-    GeometryKey => Geometry,
-    MaterialKey => Material,
-    TextureKey => Texture,
+key_of! {
+    NodeKey => Node, "node";
+    CoreKey => Core, "core";
+    GeometryKey => Geometry, "geometry";
+    MaterialKey => Material, "material";
+    TextureKey => Texture, "texture";
 }

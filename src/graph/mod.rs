@@ -37,7 +37,7 @@ pub use billboard::Billboard;
 pub use blas_kind::{BlasKind, Quality};
 pub use camera::Camera;
 pub use changes::{Change, ChangeCursor, Changes};
-pub use core::{Core, CoreSource};
+pub use core::{Core, CoreKind, CoreSource};
 pub use geometry::Geometry;
 pub use hierarchy::{Hierarchy, NodePath, ResolvedEntry};
 pub use key::{CoreKey, GeometryKey, MaterialKey, NodeKey, ObjectKey, TextureKey};

@@ -11,7 +11,7 @@ use super::node::Node;
 use super::store::Store;
 use super::transfer::Journal;
 use super::{Core, CoreKey, GeometryKey, Material, MaterialKey, NodeKey, ObjectKey, Texture, TextureKey};
-use crate::{Error, Result};
+use crate::Result;
 
 /// A retained scene graph.
 ///
@@ -20,7 +20,7 @@ use crate::{Error, Result};
 /// all of these can be shared, and live as long as somebody uses them. One that was never used stays until it has been
 /// used and released, or until [`remove_unused`](Self::remove_unused).
 ///
-/// Everything is named by keys that stay valid until the object goes. A stale key is [`Error::StaleKey`]. A call that
+/// Everything is named by keys that stay valid until the object goes. A stale key is [`Error::StaleKey`](crate::Error::StaleKey). A call that
 /// returns an error has left the scene as it was. There is nothing to commit: every getter answers from the current
 /// state.
 ///
@@ -205,7 +205,7 @@ impl Scene {
     /// all below it, amortised.
     ///
     /// # Errors
-    /// [`Error::Limit`] if instances of instances make more than [`Hierarchy::MAX_INSTANCED`] entries.
+    /// [`Error::Limit`](crate::Error::Limit) if instances of instances make more than [`Hierarchy::MAX_INSTANCED`] entries.
     pub fn hierarchy(&mut self) -> Result<&Hierarchy> {
         Ok(self.with_hierarchy()?.1)
     }
@@ -252,14 +252,10 @@ impl Scene {
     }
 
     pub(super) fn node(&self, key: NodeKey) -> Result<&Node> {
-        self.nodes.get(key).ok_or_else(|| stale_key_error(key))
+        self.nodes.require(key)
     }
 
     pub(super) fn core_slot(&self, key: CoreKey) -> Result<&CoreSlot> {
-        self.cores.get(key).ok_or_else(|| stale_key_error(key))
+        self.cores.require(key)
     }
-}
-
-pub(super) fn stale_key_error(object: impl Into<ObjectKey>) -> Error {
-    Error::StaleKey { object: object.into() }
 }

@@ -4,7 +4,9 @@ use std::ops::{Index, IndexMut};
 
 use slotmap::{Key, KeyData};
 
+use super::ObjectKey;
 use super::key_map::{KeyMap, generation, slot};
+use crate::{Error, Result};
 
 /// As [`slotmap::SlotMap`], with [`insert_at`](Self::insert_at). A key that was ever given out, to an object that is
 /// gone or not, is never given out again.
@@ -56,6 +58,14 @@ impl<K: Key, V> Store<K, V> {
 
     pub(super) fn get(&self, key: K) -> Option<&V> {
         self.values.get(key)
+    }
+
+    /// As [`get`](Self::get), with [`Error::StaleKey`] where the key is stale.
+    pub(super) fn require(&self, key: K) -> Result<&V>
+    where
+        K: Into<ObjectKey>,
+    {
+        self.get(key).ok_or_else(|| Error::StaleKey { object: key.into() })
     }
 
     pub(super) fn contains_key(&self, key: K) -> bool {

@@ -5,6 +5,7 @@ use glam::{DAffine3, DVec3};
 use super::changes::Change;
 use super::node::Node;
 use super::{Core, CoreSource, KeepTransform, NodeKey, Scene, Transform};
+use crate::error::RootEdit;
 use crate::{Error, Result};
 
 /// The tree.
@@ -21,7 +22,7 @@ impl Scene {
             self.check_core(core)?;
             self.check_instance_cycle(parent, core)?;
         } else if let CoreSource::Shared(key) = source {
-            self.check_instance_cycle(parent, self.core_by_key(key)?)?;
+            self.check_instance_cycle(parent, self.core(key)?)?;
         }
         let core = self.insert_or_share_core(source)?;
         let node = self.nodes.insert(Node::new(core));
@@ -41,7 +42,7 @@ impl Scene {
     pub fn remove(&mut self, node: NodeKey) -> Result<()> {
         self.node(node)?;
         if node == self.root {
-            return Err(Error::Root { attempt: "removed" });
+            return Err(Error::Root { attempt: RootEdit::Remove });
         }
         if !self.instancers.is_empty() {
             let nodes: Vec<NodeKey> = self.subtree(node)?.collect();
@@ -85,10 +86,10 @@ impl Scene {
         self.node(node)?;
         self.node(parent)?;
         if node == self.root {
-            return Err(Error::Root { attempt: "moved" });
+            return Err(Error::Root { attempt: RootEdit::Move });
         }
         if self.is_ancestor_or_self(node, parent) {
-            return Err(Error::Cycle { node: node.into(), parent: parent.into() });
+            return Err(Error::Cycle { node, parent });
         }
         let local = match keep {
             KeepTransform::Local => None,
@@ -121,7 +122,7 @@ impl Scene {
         if preserves_world(&parent_world, &local, &world) {
             Ok(Some(Transform::Matrix(local)))
         } else {
-            Err(Error::Singular { node: parent.into() })
+            Err(Error::Singular { node, parent })
         }
     }
 
@@ -196,7 +197,7 @@ impl Scene {
     fn set_own_local(&mut self, node: NodeKey, local: Transform) -> Result<()> {
         let slot = &self.cores[self.nodes[node].core];
         if slot.user_count > 1 && slot.core != Core::Transform(local) {
-            self.set_core(node, Core::Transform(local))
+            self.assign_core(node, Core::Transform(local))
         } else {
             self.set_local(node, local)
         }

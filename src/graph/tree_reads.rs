@@ -61,7 +61,7 @@ impl Scene {
     /// # Errors
     /// [`Error::StaleKey`](crate::Error::StaleKey).
     pub fn world_from_local(&self, node: NodeKey) -> Result<DAffine3> {
-        let own = self.core(node)?;
+        let own = self.node_core(node)?;
         if self.hierarchy.is_up_to_date()
             && let Some(entry) = self.hierarchy.entry(node)
         {

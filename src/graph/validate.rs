@@ -7,6 +7,7 @@ use super::node::Node;
 use super::store::Store;
 use super::value_checks::{check_core, check_material, check_texture};
 use super::{Core, NodeKey, ObjectKey, Scene};
+use crate::error::require_invariant;
 use crate::{Error, Result};
 
 impl Scene {
@@ -52,7 +53,7 @@ impl Scene {
 
     /// Every node is among the users of its core, and nobody else.
     fn validate_cores(&self) -> Result<()> {
-        require_invariant(*self.core(self.root)? == Core::Group, self.root, "the root is not a group")?;
+        require_invariant(*self.node_core(self.root)? == Core::Group, self.root, "the root is not a group")?;
         let is_user = |node: &Node, previous, core| node.core == core && node.previous_user == previous;
         let mut user_count = 0;
         for (key, slot) in self.cores.iter() {
@@ -105,8 +106,4 @@ fn validate_counts<K: Key + Into<ObjectKey>, V>(
         require_invariant(counts[key] == used.user_count, key, "its users are not those that it counts")?;
     }
     Ok(())
-}
-
-pub(super) fn require_invariant(holds: bool, object: impl Into<ObjectKey>, what: &'static str) -> Result<()> {
-    if holds { Ok(()) } else { Err(Error::Defect { object: object.into(), what }) }
 }

@@ -1,14 +1,14 @@
 //! Checks of the numbers in transforms, lights, cameras, materials and textures.
 
 use std::f32::consts::{FRAC_PI_2, PI};
-use std::fmt::Debug;
 
 use glam::DAffine3;
 
 use super::{
     AlphaMode, Billboard, Camera, Core, Light, LightKind, Lod, LodMetric, Material, Texture, TextureRef, Transform,
 };
-use crate::{Error, Result};
+use crate::Result;
+use crate::error::require;
 
 /// Checks the numbers in a core, not the keys.
 pub(super) fn check_core(core: &Core) -> Result<()> {
@@ -127,13 +127,9 @@ fn check_texture_ref(texture: &TextureRef) -> Result<()> {
 pub(super) fn check_texture(texture: &Texture) -> Result<()> {
     let (width, height, texels) = (texture.width, texture.height, texture.texels.len());
     let matches = u64::from(width) * u64::from(height) == texels as u64;
-    let size = format!("{width} x {height} with {texels} texels");
+    let size = format_args!("{width} x {height} with {texels} texels");
     let expected = "at least 1 x 1, with width times height texels";
-    if width > 0 && height > 0 && matches {
-        Ok(())
-    } else {
-        Err(Error::OutOfRange { what: "texture size", value: size, expected })
-    }
+    require(width > 0 && height > 0 && matches, "texture size", &size, expected)
 }
 
 fn require_unit(what: &'static str, value: f32) -> Result<()> {
@@ -146,8 +142,4 @@ fn require_at_least_zero(what: &'static str, value: f32) -> Result<()> {
 
 fn require_positive(what: &'static str, value: f32) -> Result<()> {
     require(value > 0.0 && value.is_finite(), what, &value, "finite and above 0")
-}
-
-fn require(holds: bool, what: &'static str, value: &impl Debug, expected: &'static str) -> Result<()> {
-    if holds { Ok(()) } else { Err(Error::OutOfRange { what, value: format!("{value:?}"), expected }) }
 }

@@ -6,9 +6,10 @@ use std::ops::Range;
 use slotmap::Key;
 
 use super::{DAffine3, EntryProperties, Hierarchy, PendingUpdates, ResolvedEntry, SceneStores};
+use crate::Result;
+use crate::error::{Resource, require_within};
 use crate::graph::node::Node;
 use crate::graph::{Core, NodeKey};
-use crate::{Error, Result};
 
 /// What the scene reports. Nothing is done about most of it before [`update`](Hierarchy::update).
 impl Hierarchy {
@@ -233,8 +234,7 @@ impl Hierarchy {
         let used = self.nodes.len() - self.gaps.len();
         let needed = tree.entry_count(top).saturating_add(used as u64);
         let limit = (tree.nodes.len() + Self::MAX_INSTANCED) as u64;
-        let (what, hint) = ("the scene with all instances of its nodes", "; instances of instances multiply");
-        if needed <= limit { Ok(()) } else { Err(Error::Limit { what, needed, limit, hint }) }
+        require_within(Resource::HierarchyEntries, needed, limit)
     }
 
     fn push(&mut self, tree: SceneStores<'_>, key: NodeKey, parent: u32, instanced: bool) -> u32 {

@@ -25,9 +25,9 @@ use super::bit_set::BitSet;
 use super::core::CoreSlot;
 use super::node::Node;
 use super::store::Store;
-use super::validate::require_invariant;
 use super::{Core, CoreKey, GeometryKey, MaterialKey, NodeKey};
 use crate::Result;
+use crate::error::require_invariant;
 
 /// All nodes of a scene, flattened: a node's subtree is a range of indices that begins with the node's own, and the
 /// ranges of what was added below it since.

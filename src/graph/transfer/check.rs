@@ -4,7 +4,7 @@ use std::collections::{BTreeSet, HashMap, HashSet};
 
 use super::delta::Delta;
 use super::{NodeState, ObjectState};
-use crate::graph::scene::stale_key_error;
+use crate::error::{DeltaFault, Resource, RootEdit, require_within};
 use crate::graph::value_checks::{check_core, check_material, check_texture};
 use crate::graph::{Core, CoreKey, NodeKey, ObjectKey, Scene};
 use crate::{Error, Result};
@@ -30,14 +30,14 @@ pub(super) fn check(scene: &Scene, delta: &Delta) -> Result<Vec<NodeKey>> {
     after.check_cycles()?;
     match order_of_siblings(delta) {
         (order, None) => Ok(order),
-        (_, Some(node)) => Err(mismatch(node, "it is to come after itself")),
+        (_, Some(node)) => Err(mismatch(node, DeltaFault::SiblingCycle)),
     }
 }
 
 /// Checks that no object comes twice, and that no two are to have one slot.
 fn check_order(scene: &Scene, delta: &Delta) -> Result<()> {
     if let Some(pair) = delta.objects.windows(2).find(|pair| pair[0].0 >= pair[1].0) {
-        return Err(mismatch(pair[1].0, "it comes twice, or out of order"));
+        return Err(mismatch(pair[1].0, DeltaFault::DuplicateObject));
     }
     // Generations of one slot come one after the other.
     let there = delta.objects.iter().filter(|(_, state)| state.is_some());
@@ -45,7 +45,7 @@ fn check_order(scene: &Scene, delta: &Delta) -> Result<()> {
     let mut last = None;
     for (object, kind, slot) in slots {
         if last.replace((kind, slot)) == Some((kind, slot)) {
-            return Err(mismatch(object, "another object is to have its slot too"));
+            return Err(mismatch(object, DeltaFault::SharedSlot));
         }
     }
     Ok(())
@@ -86,7 +86,7 @@ impl SceneAfter<'_> {
     }
 
     fn require_object(&self, object: ObjectKey) -> Result<()> {
-        if self.has(object) { Ok(()) } else { Err(stale_key_error(object)) }
+        if self.has(object) { Ok(()) } else { Err(Error::StaleKey { object }) }
     }
 
     fn parent(&self, node: NodeKey) -> Option<NodeKey> {
@@ -101,13 +101,13 @@ impl SceneAfter<'_> {
         match self.delta.get(core.into()) {
             Some(Some(ObjectState::Core(core))) => Some(core),
             Some(_) => None,
-            None => self.scene.core_by_key(core).ok(),
+            None => self.scene.core(core).ok(),
         }
     }
 
     fn check_state(&self, object: ObjectKey, state: &ObjectState) -> Result<()> {
         if !state.matches_kind(object) {
-            return Err(mismatch(object, "its state is that of another kind of object"));
+            return Err(mismatch(object, DeltaFault::KindMismatch));
         }
         if !self.scene.contains_object(object) {
             self.check_key(object)?;
@@ -133,10 +133,10 @@ impl SceneAfter<'_> {
     fn check_key(&self, object: ObjectKey) -> Result<()> {
         let (slot, occupant, slot_count) = self.scene.slot_occupancy(object);
         if slot == 0 || slot >= u32::MAX as usize {
-            return Err(mismatch(object, "no scene gives out its key"));
+            return Err(mismatch(object, DeltaFault::InvalidKey));
         }
         if occupant.is_some_and(|occupant| self.has(occupant)) {
-            return Err(mismatch(object, "another object has its slot"));
+            return Err(mismatch(object, DeltaFault::SlotTaken));
         }
         let given_out = self.delta.snapshot_generations.as_ref().map_or(0, |generations| match object {
             ObjectKey::Node(_) => generations.nodes.len(),
@@ -154,19 +154,15 @@ impl SceneAfter<'_> {
         };
         let skippable = if self.delta.is_snapshot() { 0 } else { MAX_SKIPPED_SLOTS };
         let limit = slot_count.max(given_out).max(live + skippable);
-        if slot < limit {
-            return Ok(());
-        }
-        let hint = "; the delta is damaged, or so many objects came and went since the last that a whole one is needed";
-        Err(Error::Limit { what: "a key's slot in a delta", needed: slot as u64, limit: limit as u64, hint })
+        require_within(Resource::KeySlots, slot as u64 + 1, limit as u64)
     }
 
     fn check_node(&self, object: ObjectKey, node: &NodeState) -> Result<()> {
         let is_root = object == self.scene.root.into();
         match (node.parent, node.previous_sibling) {
             (None, None) if is_root => Ok(()),
-            (_, _) if is_root => Err(Error::Root { attempt: "moved" }),
-            (None, _) => Err(mismatch(object, "it is to have no parent, as only the root has")),
+            (_, _) if is_root => Err(Error::Root { attempt: RootEdit::Move }),
+            (None, _) => Err(mismatch(object, DeltaFault::NoParent)),
             (Some(parent), previous) => {
                 self.require_object(parent.into())?;
                 let Some(previous) = previous else { return Ok(()) };
@@ -174,7 +170,7 @@ impl SceneAfter<'_> {
                 if self.parent(previous) == Some(parent) {
                     Ok(())
                 } else {
-                    Err(mismatch(object, "it is to come after a node with another parent"))
+                    Err(mismatch(object, DeltaFault::SiblingElsewhere))
                 }
             }
         }
@@ -184,11 +180,11 @@ impl SceneAfter<'_> {
     fn check_removal(&self, object: ObjectKey) -> Result<()> {
         let ObjectKey::Node(node) = object else { return Ok(()) };
         if node == self.scene.root {
-            return Err(Error::Root { attempt: "removed" });
+            return Err(Error::Root { attempt: RootEdit::Remove });
         }
         let mut children = self.scene.children(node).into_iter().flatten();
         match children.find(|&child| self.delta.get(child.into()).is_none()) {
-            Some(child) => Err(mismatch(child, "its parent is to go, but it is to stay")),
+            Some(child) => Err(mismatch(child, DeltaFault::ChildStays)),
             None => Ok(()),
         }
     }
@@ -200,7 +196,8 @@ impl SceneAfter<'_> {
         };
         match self.core(core) {
             Some(Core::Group) => Ok(()),
-            _ => Err(Error::Root { attempt: "given a core other than a group" }),
+            Some(other) => Err(Error::Root { attempt: RootEdit::SetCore(other.kind()) }),
+            None => Err(mismatch(core, DeltaFault::StillUsed)),
         }
     }
 
@@ -226,7 +223,7 @@ impl SceneAfter<'_> {
                 ObjectKey::Texture(key) => self.scene.textures[key].user_count,
             };
             if user_count != ended_uses.get(&object).copied().unwrap_or(0) {
-                return Err(mismatch(object, "it is to go, but something still uses it"));
+                return Err(mismatch(object, DeltaFault::StillUsed));
             }
         }
         Ok(())
@@ -239,7 +236,7 @@ impl SceneAfter<'_> {
             if let Some(ObjectState::Node(node)) = state
                 && !places.insert((node.parent, node.previous_sibling))
             {
-                return Err(mismatch(object, "another node is to have its place among its siblings"));
+                return Err(mismatch(object, DeltaFault::SiblingTwice));
             }
         }
         Ok(())
@@ -254,29 +251,46 @@ impl SceneAfter<'_> {
         }
         let starts = self.nodes_with_new_links();
         let shown_by = if starts.is_empty() { HashMap::new() } else { self.instancing_nodes() };
-        let (mut done, mut path) = (HashSet::new(), HashSet::new());
+        // Depth-first search up the ancestors: the path holds the nodes entered and not left yet, each a parent of the one
+        // before it, so that a node that is entered again closes a cycle.
+        let (mut done, mut on_path, mut path) = (HashSet::new(), HashSet::new(), Vec::new());
         for start in starts {
-            let mut open = vec![Visit::Enter(start)];
-            while let Some(visit) = open.pop() {
+            let mut stack = vec![Visit::Enter(start)];
+            while let Some(visit) = stack.pop() {
                 match visit {
                     Visit::Leave(node) => {
-                        path.remove(&node);
+                        path.pop();
+                        on_path.remove(&node);
                         done.insert(node);
                     }
                     Visit::Enter(node) if done.contains(&node) => {}
-                    Visit::Enter(node) if !path.insert(node) => {
-                        return Err(Error::Cycle { node: start.into(), parent: node.into() });
-                    }
+                    Visit::Enter(node) if !on_path.insert(node) => return Err(self.cycle_error(&path, node)),
                     Visit::Enter(node) => {
-                        open.push(Visit::Leave(node));
-                        let above =
-                            self.parent(node).into_iter().chain(shown_by.get(&node).into_iter().flatten().copied());
-                        open.extend(above.map(Visit::Enter));
+                        path.push(node);
+                        stack.push(Visit::Leave(node));
+                        let instances = shown_by.get(&node).into_iter().flatten().copied();
+                        stack.extend(self.parent(node).into_iter().chain(instances).map(Visit::Enter));
                     }
                 }
             }
         }
         Ok(())
+    }
+
+    /// The error of the cycle that `path` closes at `first`, one of its nodes: it names a link that the delta adds, which
+    /// each cycle has.
+    fn cycle_error(&self, path: &[NodeKey], first: NodeKey) -> Error {
+        let cycle = path.iter().copied().skip_while(|&node| node != first);
+        let mut links: Vec<(NodeKey, NodeKey)> = cycle.clone().zip(cycle.skip(1).chain([first])).collect();
+        links.sort_by_key(|&(node, parent)| self.has_old_link(node, parent));
+        let (node, parent) = links.first().copied().unwrap_or((first, first));
+        Error::Cycle { node, parent }
+    }
+
+    /// Whether the scene before the delta has this link, by parent or by instance.
+    fn has_old_link(&self, node: NodeKey, parent: NodeKey) -> bool {
+        self.scene.nodes.get(node).is_some_and(|old| old.parent == Some(parent))
+            || self.scene.node_core(parent).is_ok_and(|core| core.instance_target() == Some(node))
     }
 
     /// Of each new link between a node and its parent or its instance, the node. Each cycle has one.
@@ -330,6 +344,6 @@ impl SceneAfter<'_> {
     }
 }
 
-fn mismatch(object: impl Into<ObjectKey>, what: &'static str) -> Error {
-    Error::Delta { object: object.into(), what }
+fn mismatch(object: impl Into<ObjectKey>, cause: DeltaFault) -> Error {
+    Error::Delta { object: object.into(), cause }
 }

@@ -15,7 +15,7 @@ const MAGIC: [u8; 8] = *b"ROPEWALK";
 const VERSION: u32 = 2;
 
 /// What is wrong with a scene file or recording.
-#[derive(Debug, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SceneFileError {
     /// It does not begin as such a file does.
@@ -92,9 +92,7 @@ impl Scene {
         let path = path.as_ref();
         let mut bytes = Vec::new();
         let written = write_header(&mut bytes).and_then(|()| write_frame(&mut bytes, &self.snapshot()));
-        written
-            .and_then(|()| write_atomically(path, &bytes))
-            .map_err(|source| Error::Io { path: path.to_owned(), source })
+        written.and_then(|()| write_atomically(path, &bytes)).map_err(|error| Error::io(path, error))
     }
 
     /// Reads a scene that was [saved](Self::save), or the last state in a [recording](super::Recorder). Keys of the
@@ -126,7 +124,7 @@ pub(super) enum ReadError {
 impl ReadError {
     pub(super) fn at(self, path: &Path, frame: usize) -> Error {
         match self {
-            Self::Io(source) => Error::Io { path: path.to_owned(), source },
+            Self::Io(error) => Error::io(path, error),
             Self::File(fault) => Error::SceneFile { path: path.to_owned(), frame, source: fault },
         }
     }

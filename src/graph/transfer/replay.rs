@@ -52,7 +52,7 @@ impl Recorder {
             let mut file = BufWriter::new(file);
             write_header(&mut file).map(|()| file)
         });
-        let file = started.map_err(|source| Error::Io { path: path.clone(), source })?;
+        let file = started.map_err(|error| Error::io(&path, error))?;
         let mut recorder = Self { path, file, cursor: ChangeCursor::default() };
         recorder.record(scene)?;
         Ok(recorder)
@@ -66,7 +66,7 @@ impl Recorder {
     pub fn record(&mut self, scene: &mut Scene) -> Result<()> {
         let delta = scene.delta_since(&mut self.cursor);
         let written = write_frame(&mut self.file, &delta).and_then(|()| self.file.flush());
-        written.map_err(|source| Error::Io { path: self.path.clone(), source })
+        written.map_err(|error| Error::io(&self.path, error))
     }
 }
 
@@ -86,7 +86,7 @@ impl Replay {
     /// version.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref().to_owned();
-        let file = File::open(&path).map_err(|source| Error::Io { path: path.clone(), source })?;
+        let file = File::open(&path).map_err(|error| Error::io(&path, error))?;
         let mut file = BufReader::new(file);
         read_header(&mut file).map_err(|fault| fault.at(&path, 0))?;
         Ok(Self { path, file, frame: 0 })

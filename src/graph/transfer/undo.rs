@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 
 use super::Delta;
 use super::journal::PriorStates;
+use crate::error::HistoryStep;
 use crate::graph::Scene;
 use crate::{Error, Result};
 
@@ -120,7 +121,7 @@ impl Scene {
     /// # Errors
     /// [`Error::Transaction`] within a transaction: let that end first.
     pub fn undo(&mut self) -> Result<Option<String>> {
-        self.require_no_transaction("undo")?;
+        self.require_no_transaction(HistoryStep::Undo)?;
         self.end_undo_group("");
         let Some(group) = self.journal.history.as_mut().and_then(|history| history.undo_groups.pop_back()) else {
             return Ok(None);
@@ -139,7 +140,7 @@ impl Scene {
     /// # Errors
     /// [`Error::Transaction`] within a transaction: let that end first.
     pub fn redo(&mut self) -> Result<Option<String>> {
-        self.require_no_transaction("redo")?;
+        self.require_no_transaction(HistoryStep::Redo)?;
         let Some(group) = self.journal.history.as_mut().and_then(|history| history.redo_groups.pop()) else {
             return Ok(None);
         };
@@ -171,7 +172,7 @@ impl Scene {
         UndoGroup { name: group.name, states }
     }
 
-    fn require_no_transaction(&self, attempt: &'static str) -> Result<()> {
+    fn require_no_transaction(&self, attempt: HistoryStep) -> Result<()> {
         if self.journal.is_in_transaction() { Err(Error::Transaction { attempt }) } else { Ok(()) }
     }
 }
