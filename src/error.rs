@@ -36,7 +36,8 @@ pub enum Error {
         /// The parent that it would get: the new parent, or the node with the instance core.
         parent: NodeKey,
     },
-    /// A call tried to remove or move the root node, or to give it a core other than [`Core::Group`](crate::Core::Group).
+    /// A call tried to remove or move the root node, or to give it a core other than
+    /// [`Core::Group`](crate::Core::Group).
     #[error("the root node cannot be {attempt}: every scene has exactly one root, and it is a group")]
     Root {
         /// The edit that was attempted.
@@ -63,8 +64,8 @@ pub enum Error {
         /// The parent that it was to get, whose world matrix is singular.
         parent: NodeKey,
     },
-    /// An internal invariant of the scene is violated. Only [`Scene::validate`](crate::Scene::validate) returns this; it
-    /// is a bug in Ropewalk.
+    /// An internal invariant of the scene is violated. Only [`Scene::validate`](crate::Scene::validate) returns this;
+    /// it is a bug in Ropewalk.
     #[error("internal defect: {object}: {what}")]
     Defect {
         /// The object that is wrong.
@@ -154,7 +155,11 @@ pub enum Error {
         reason: String,
     },
     /// The scene, image or call needs more of a resource than there is.
-    #[error("{resource} needs {needed} {}, more than the limit of {limit}{}", resource.unit(), Advice(resource.advice()))]
+    #[error(
+        "{resource} needs {needed} {}, more than the limit of {limit}{}",
+        resource.unit(),
+        Advice(resource.advice())
+    )]
     Limit {
         /// The resource.
         resource: Resource,

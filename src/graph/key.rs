@@ -1,4 +1,5 @@
-//! Handles: generation-checked keys that outlive any edit.
+//! Keys of scene objects. A key carries a slot and a generation, so that a key of a removed object is detected as
+//! stale.
 
 use std::fmt;
 
@@ -6,19 +7,19 @@ use serde::{Deserialize, Serialize};
 use slotmap::Key as _;
 
 slotmap::new_key_type! {
-    /// Names a node of a scene.
+    /// Key of a node.
     pub struct NodeKey;
-    /// Names a core: what a node is. Nodes that share a core share its edits.
+    /// Key of a core, the content of one or more nodes. Editing a core affects every node that uses it.
     pub struct CoreKey;
-    /// Names a [`Geometry`](super::Geometry).
+    /// Key of a [`Geometry`](super::Geometry).
     pub struct GeometryKey;
-    /// Names a [`Material`](super::Material).
+    /// Key of a [`Material`](super::Material).
     pub struct MaterialKey;
-    /// Names a [`Texture`](super::Texture).
+    /// Key of a [`Texture`](super::Texture).
     pub struct TextureKey;
 }
 
-/// Any object of a scene, by its key.
+/// The key of any scene object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum ObjectKey {

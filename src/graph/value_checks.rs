@@ -1,4 +1,4 @@
-//! Checks of the numbers in transforms, lights, cameras, materials and textures.
+//! Range checks of the values in transforms, lights, cameras, materials and textures.
 
 use std::f32::consts::{FRAC_PI_2, PI};
 
@@ -30,7 +30,7 @@ pub(super) fn check_core(core: &Core) -> Result<()> {
     }
 }
 
-/// Checks the numbers in a transform. Returns its matrix, which is finite too: finite factors can have an infinite product.
+/// Checks the numbers in a transform and in its matrix, whose products can overflow. Returns the matrix.
 pub(super) fn check_transform(transform: &Transform) -> Result<DAffine3> {
     let affine = transform.to_affine();
     require(transform.is_finite() && affine.is_finite(), "transform", transform, "finite")?;
@@ -38,7 +38,7 @@ pub(super) fn check_transform(transform: &Transform) -> Result<DAffine3> {
 }
 
 fn check_lod(lod: &Lod) -> Result<()> {
-    require(lod.center.is_finite(), "centre of levels of detail", &lod.center, "finite")?;
+    require(lod.center.is_finite(), "centre of the levels of detail", &lod.center, "finite")?;
     let hysteresis = lod.hysteresis;
     require((0.0..1.0).contains(&hysteresis), "hysteresis of levels of detail", &hysteresis, "at least 0 and below 1")?;
     let is_positive = |value: &f64| *value > 0.0 && value.is_finite();
@@ -123,7 +123,7 @@ fn check_texture_ref(texture: &TextureRef) -> Result<()> {
     require(texture.transform.is_finite(), "texture transform", &texture.transform, "finite")
 }
 
-/// Checks that a texture has the texels that its size says, and one at least.
+/// Checks that a texture has `width * height` texels, and at least one.
 pub(super) fn check_texture(texture: &Texture) -> Result<()> {
     let (width, height, texels) = (texture.width, texture.height, texture.texels.len());
     let matches = u64::from(width) * u64::from(height) == texels as u64;

@@ -1,4 +1,4 @@
-//! Whether a delta fits a scene: everything is found out before anything is touched.
+//! Validation of a delta against a scene, before any change is made.
 
 use std::collections::{BTreeSet, HashMap, HashSet};
 
@@ -9,12 +9,12 @@ use crate::graph::value_checks::{check_core, check_material, check_texture};
 use crate::graph::{Core, CoreKey, NodeKey, ObjectKey, Scene};
 use crate::{Error, Result};
 
-/// How many more slots than objects the keys of deltas that are not whole may make a scene have, all of them together. Between two reads of the log an
-/// honest scene may create and free many objects; a forged key must not make this scene allocate without bound.
+/// Limit on unused slots that partial deltas may create. A legitimate sender can skip slots (objects created and freed
+/// between two reads); a corrupt key must not cause an unbounded allocation.
 const MAX_SKIPPED_SLOTS: usize = 1 << 20;
 
-/// Checks all that must hold of the scene after the delta. Gives the nodes of the delta in an order in which they can
-/// be put after their siblings.
+/// Checks everything that must hold in the scene after the delta. Returns the nodes of the delta, each after its
+/// previous sibling.
 pub(super) fn check(scene: &Scene, delta: &Delta) -> Result<Vec<NodeKey>> {
     let after = SceneAfter { scene, delta };
     check_order(scene, delta)?;
@@ -34,14 +34,14 @@ pub(super) fn check(scene: &Scene, delta: &Delta) -> Result<Vec<NodeKey>> {
     }
 }
 
-/// Checks that no object comes twice, and that no two are to have one slot.
+/// Checks that no object occurs twice, and that no two objects claim the same slot.
 fn check_order(scene: &Scene, delta: &Delta) -> Result<()> {
     if let Some(pair) = delta.objects.windows(2).find(|pair| pair[0].0 >= pair[1].0) {
         return Err(mismatch(pair[1].0, DeltaFault::DuplicateObject));
     }
-    // Generations of one slot come one after the other.
-    let there = delta.objects.iter().filter(|(_, state)| state.is_some());
-    let slots = there.map(|&(object, _)| (object, std::mem::discriminant(&object), scene.slot_occupancy(object).0));
+    // Keys of one kind are ordered by slot, so that generations of one slot are adjacent.
+    let present = delta.objects.iter().filter(|(_, state)| state.is_some());
+    let slots = present.map(|&(object, _)| (object, std::mem::discriminant(&object), scene.slot_occupancy(object).0));
     let mut last = None;
     for (object, kind, slot) in slots {
         if last.replace((kind, slot)) == Some((kind, slot)) {
@@ -51,17 +51,19 @@ fn check_order(scene: &Scene, delta: &Delta) -> Result<()> {
     Ok(())
 }
 
-/// The nodes of a delta, each after its previous sibling if that is in the delta too; and one that is to come after
-/// itself, if there is any. O(nodes).
+/// The nodes of a delta, each after its previous sibling if that is in the delta too; and a node on a cycle of
+/// previous-sibling links, if any. O(nodes).
 pub(super) fn order_of_siblings(delta: &Delta) -> (Vec<NodeKey>, Option<NodeKey>) {
     let (mut order, mut circular) = (Vec::new(), None);
     let mut seen = HashSet::new();
     let mut chain = Vec::new();
     for (object, state) in delta.objects() {
+        // Follow the previous siblings up to one that is in order already or not in the delta; append the chain in
+        // reverse.
         let mut next = Some((object, state));
         while let Some((ObjectKey::Node(node), Some(ObjectState::Node(state)))) = next {
             if !seen.insert(node) {
-                // Already in order, unless this very chain has come around.
+                // In order already, unless it is in this chain: then the chain is a cycle.
                 circular = circular.or_else(|| chain.contains(&node).then_some(node));
                 break;
             }
@@ -74,7 +76,7 @@ pub(super) fn order_of_siblings(delta: &Delta) -> (Vec<NodeKey>, Option<NodeKey>
     (order, circular)
 }
 
-/// A scene as it will be after a delta.
+/// Read-only view of a scene with a delta applied.
 struct SceneAfter<'a> {
     scene: &'a Scene,
     delta: &'a Delta,
@@ -129,7 +131,7 @@ impl SceneAfter<'_> {
         }
     }
 
-    /// Whether an object that the scene has not can get its key.
+    /// Checks that a new object's key can be used: its slot is free and within the limit.
     fn check_key(&self, object: ObjectKey) -> Result<()> {
         let (slot, occupant, slot_count) = self.scene.slot_occupancy(object);
         if slot == 0 || slot >= u32::MAX as usize {
@@ -138,7 +140,7 @@ impl SceneAfter<'_> {
         if occupant.is_some_and(|occupant| self.has(occupant)) {
             return Err(mismatch(object, DeltaFault::SlotTaken));
         }
-        let given_out = self.delta.snapshot_generations.as_ref().map_or(0, |generations| match object {
+        let issued = self.delta.snapshot_generations.as_ref().map_or(0, |generations| match object {
             ObjectKey::Node(_) => generations.nodes.len(),
             ObjectKey::Core(_) => generations.cores.len(),
             ObjectKey::Geometry(_) => generations.geometries.len(),
@@ -153,7 +155,7 @@ impl SceneAfter<'_> {
             ObjectKey::Texture(_) => self.scene.texture_count(),
         };
         let skippable = if self.delta.is_snapshot() { 0 } else { MAX_SKIPPED_SLOTS };
-        let limit = slot_count.max(given_out).max(live + skippable);
+        let limit = slot_count.max(issued).max(live + skippable);
         require_within(Resource::KeySlots, slot as u64 + 1, limit as u64)
     }
 
@@ -176,7 +178,8 @@ impl SceneAfter<'_> {
         }
     }
 
-    /// Whether nothing stays below a node that goes. (That nothing goes below it, its new children's states tell.)
+    /// Checks that a removed node keeps no child. (New children are covered by [`check_node`](Self::check_node): their
+    /// parent must exist.)
     fn check_removal(&self, object: ObjectKey) -> Result<()> {
         let ObjectKey::Node(node) = object else { return Ok(()) };
         if node == self.scene.root {
@@ -201,17 +204,20 @@ impl SceneAfter<'_> {
         }
     }
 
-    /// Whether all users of what goes go too, or use something else.
+    /// Checks that every removed object is no longer referenced.
     fn check_references(&self) -> Result<()> {
         if self.delta.objects.iter().all(|(_, state)| state.is_some()) {
             return Ok(());
         }
+        // 1. Count the references to removed objects by the old states of the delta's objects. None of the new states
+        //    has any: that was checked.
         let mut ended_uses: HashMap<ObjectKey, usize> = HashMap::new();
         for old in self.delta.objects.iter().filter_map(|&(object, _)| self.scene.state(object)) {
             for used in old.references().into_iter().filter(|&used| matches!(self.delta.get(used), Some(None))) {
                 *ended_uses.entry(used).or_default() += 1;
             }
         }
+        // 2. An object with more users than that is still referenced.
         for (object, _) in
             self.delta.objects().filter(|(object, state)| state.is_none() && self.scene.contains_object(*object))
         {
@@ -229,12 +235,12 @@ impl SceneAfter<'_> {
         Ok(())
     }
 
-    /// Whether no two nodes are to come after the same one.
+    /// Checks that no two nodes have the same previous sibling.
     fn check_siblings(&self) -> Result<()> {
-        let mut places = HashSet::new();
+        let mut positions = HashSet::new();
         for (object, state) in self.delta.objects() {
             if let Some(ObjectState::Node(node)) = state
-                && !places.insert((node.parent, node.previous_sibling))
+                && !positions.insert((node.parent, node.previous_sibling))
             {
                 return Err(mismatch(object, DeltaFault::SiblingTwice));
             }
@@ -242,17 +248,17 @@ impl SceneAfter<'_> {
         Ok(())
     }
 
-    /// Whether no node comes to be below itself, or to be shown by an instance below it. O(all above what moves), and
-    /// O(instances) if there are any.
+    /// Checks that no node is below itself, through parents or through instances. O(ancestors of the nodes with new
+    /// links), and O(instances) if there are any.
     fn check_cycles(&self) -> Result<()> {
         enum Visit {
             Enter(NodeKey),
             Leave(NodeKey),
         }
         let starts = self.nodes_with_new_links();
-        let shown_by = if starts.is_empty() { HashMap::new() } else { self.instancing_nodes() };
-        // Depth-first search up the ancestors: the path holds the nodes entered and not left yet, each a parent of the one
-        // before it, so that a node that is entered again closes a cycle.
+        let instancing = if starts.is_empty() { HashMap::new() } else { self.instancing_nodes() };
+        // Depth-first search up the ancestors: the path holds the nodes entered and not left yet, each a parent of the
+        // one before it, so that a node that is entered again closes a cycle.
         let (mut done, mut on_path, mut path) = (HashSet::new(), HashSet::new(), Vec::new());
         for start in starts {
             let mut stack = vec![Visit::Enter(start)];
@@ -268,7 +274,7 @@ impl SceneAfter<'_> {
                     Visit::Enter(node) => {
                         path.push(node);
                         stack.push(Visit::Leave(node));
-                        let instances = shown_by.get(&node).into_iter().flatten().copied();
+                        let instances = instancing.get(&node).into_iter().flatten().copied();
                         stack.extend(self.parent(node).into_iter().chain(instances).map(Visit::Enter));
                     }
                 }
@@ -277,8 +283,8 @@ impl SceneAfter<'_> {
         Ok(())
     }
 
-    /// The error of the cycle that `path` closes at `first`, one of its nodes: it names a link that the delta adds, which
-    /// each cycle has.
+    /// The error of the cycle that `path` closes at `first`, one of its nodes: it names a link that the delta adds,
+    /// which each cycle has.
     fn cycle_error(&self, path: &[NodeKey], first: NodeKey) -> Error {
         let cycle = path.iter().copied().skip_while(|&node| node != first);
         let mut links: Vec<(NodeKey, NodeKey)> = cycle.clone().zip(cycle.skip(1).chain([first])).collect();
@@ -293,29 +299,30 @@ impl SceneAfter<'_> {
             || self.scene.node_core(parent).is_ok_and(|core| core.instance_target() == Some(node))
     }
 
-    /// Of each new link between a node and its parent or its instance, the node. Each cycle has one.
+    /// The child ends of all new parent and instance links: every new cycle contains one of them.
     fn nodes_with_new_links(&self) -> Vec<NodeKey> {
-        let mut ends = Vec::new();
+        let mut children = Vec::new();
         for (object, state) in self.delta.objects() {
             match (object, state) {
                 (ObjectKey::Node(key), Some(ObjectState::Node(state))) => {
                     let old = self.scene.nodes.get(key);
                     if old.is_none_or(|old| old.parent != state.parent) {
-                        ends.push(key);
+                        children.push(key);
                     }
                     if old.is_none_or(|old| old.core != state.core) {
-                        ends.extend(self.core(state.core).and_then(Core::instance_target));
+                        children.extend(self.core(state.core).and_then(Core::instance_target));
                     }
                 }
-                (_, Some(ObjectState::Core(core))) => ends.extend(core.instance_target()),
+                (_, Some(ObjectState::Core(core))) => children.extend(core.instance_target()),
                 _ => {}
             }
         }
-        ends
+        children
     }
 
-    /// The nodes with cores that instance each node.
+    /// By instance target: the nodes whose cores instance it.
     fn instancing_nodes(&self) -> HashMap<NodeKey, Vec<NodeKey>> {
+        // 1. The targets of all instance cores after the delta.
         let old = self.scene.instancers.values().flatten().copied();
         let new = self.delta.objects().filter_map(|(object, _)| match object {
             ObjectKey::Core(key) => Some(key),
@@ -325,10 +332,11 @@ impl SceneAfter<'_> {
         let targets: HashMap<CoreKey, NodeKey> =
             cores.filter_map(|key| Some((key, self.core(key)?.instance_target()?))).collect();
 
-        let stays = |user: &NodeKey| self.delta.get((*user).into()).is_none();
+        // 2. The users of these cores after the delta: old users that the delta does not name, and its own nodes.
+        let is_unchanged = |user: &NodeKey| self.delta.get((*user).into()).is_none();
         let old = targets.keys().flat_map(|&key| {
             let users = self.scene.users(key).into_iter().flatten();
-            users.filter(stays).map(move |user| (user, key))
+            users.filter(is_unchanged).map(move |user| (user, key))
         });
         let new = self.delta.objects().filter_map(|(object, state)| match (object, state) {
             (ObjectKey::Node(key), Some(ObjectState::Node(state))) => Some((key, state.core)),
