@@ -79,19 +79,19 @@ const EDITS: [(&str, Edit); 20] = [
         let place = lamps.scene.add(lamps.scene.root(), at(0.0, 5.0, 0.0))?;
         lamps.scene.add(place, lamps.shape).map(drop)
     }),
-    ("another kind of core", |lamps| lamps.scene.set_core(lamps.first, Core::Group)),
+    ("another kind of core", |lamps| lamps.scene.assign_core(lamps.first, Core::Group)),
     ("move to another parent, staying in place", |lamps| {
         lamps.scene.reparent(lamps.second, lamps.scene.root(), KeepTransform::World)
     }),
     ("remove one", |lamps| lamps.scene.remove(lamps.second)),
     ("toggle a switch", |lamps| {
         let core = lamps.scene.core_key(lamps.switch)?;
-        lamps.scene.edit_core(core, Core::Switch(Switch::One(1)))
+        lamps.scene.set_core(core, Core::Switch(Switch::One(1)))
     }),
-    ("levels of detail instead of the switch", |lamps| lamps.scene.set_core(lamps.switch, Lod::by_distance([1e3]))),
+    ("levels of detail instead of the switch", |lamps| lamps.scene.assign_core(lamps.switch, Lod::by_distance([1e3]))),
     ("override the material of a subtree", |lamps| {
         let glass = lamps.scene.add_material(Material::glass(1.5))?;
-        lamps.scene.set_core(lamps.group, Core::MaterialGroup(glass))
+        lamps.scene.assign_core(lamps.group, Core::MaterialGroup(glass))
     }),
     ("a thousand more by one instance of a subtree", |lamps| {
         let place = lamps.scene.add(lamps.scene.root(), at(0.0, 0.0, -60.0))?;

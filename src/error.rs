@@ -1,54 +1,71 @@
-//! The one error type: what failed, which object, and the likely cause.
+//! The error type of the crate, the types of its fields, and the checks that make errors in one place.
 
-use std::path::PathBuf;
+use std::fmt::{self, Debug};
+use std::io;
+use std::path::{Path, PathBuf};
 
-use crate::graph::{ObjectKey, SceneFileError};
+use crate::graph::{CoreKind, NodeKey, ObjectKey, SceneFileError};
 
-/// Everything that can go wrong, with the key, path, index or limit and the likely cause.
+/// [`std::result::Result`] with this crate's [`enum@Error`].
+pub type Result<T, E = Error> = std::result::Result<T, E>;
+
+/// The error of every fallible call. Each variant carries the key, path, index or limit concerned, and its message the
+/// likely cause.
 ///
-/// A call that returns an error has left the scene and the file system as they were.
-#[derive(Debug, thiserror::Error)]
+/// A call that returns an error leaves the scene and the file system as they were, with two exceptions: a
+/// [`Recorder`](crate::graph::Recorder) replaces the file before it writes the first frame, and may leave an incomplete
+/// last frame; a [transaction](crate::Scene::transaction) that was rolled back has raised the scene's
+/// [`revision`](crate::Scene::revision).
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// A key names nothing in this scene.
+    /// The key does not refer to an object of this scene.
     #[error("{object} is not in this scene: it was removed, or its key comes from another scene")]
     StaleKey {
         /// The key that was passed in.
         object: ObjectKey,
     },
-    /// A node was to become its own ancestor.
-    #[error("{node} cannot become a child of {parent}, which is below it (or is it): that would close a cycle")]
+    /// The edit would make a node its own ancestor, through parents or through instances.
+    #[error(
+        "{node} cannot become a child of {parent}: {parent} is {node} itself, below it, or shown by an instance below \
+         it (cycle)"
+    )]
     Cycle {
-        /// The node that was to move.
-        node: ObjectKey,
-        /// The parent it was to get.
-        parent: ObjectKey,
+        /// The node that would get the parent: the node that moves, or the target of an instance.
+        node: NodeKey,
+        /// The parent that it would get: the new parent, or the node with the instance core.
+        parent: NodeKey,
     },
-    /// The root node was to be removed, moved or given a core other than a group.
-    #[error("the root node cannot be {attempt}: it lives as long as its scene")]
+    /// A call tried to remove or move the root node, or to give it a core other than
+    /// [`Core::Group`](crate::Core::Group).
+    #[error("the root node cannot be {attempt}: every scene has exactly one root, and it is a group")]
     Root {
-        /// What was attempted, as a participle: "removed".
-        attempt: &'static str,
+        /// The edit that was attempted.
+        attempt: RootEdit,
     },
     /// A node's core is of another kind than the call needs.
-    #[error("{node} has a {found} core where a {expected} core is needed{}", wrong_core_hint(expected))]
+    #[error("{node} has a core of kind {found} where one of kind {expected} is needed{}", wrong_core_advice(*expected))]
     WrongCore {
         /// The node.
-        node: ObjectKey,
+        node: NodeKey,
         /// The kind of core that the call needs.
-        expected: &'static str,
+        expected: CoreKind,
         /// The kind of core that the node has.
-        found: &'static str,
+        found: CoreKind,
     },
-    /// A node's world transform has no inverse, so nothing can keep its place below it.
+    /// A node's world matrix is not invertible, so no local transform below it can preserve a world transform.
     #[error(
-        "the world transform of {node} cannot be inverted: some scale at it or above it is 0, or too small or large"
+        "{node} cannot keep its world transform below {parent}, whose own cannot be inverted: some scale at or above \
+         {parent} is 0, or too small or large"
     )]
     Singular {
-        /// The node.
-        node: ObjectKey,
+        /// The node that was to move.
+        node: NodeKey,
+        /// The parent that it was to get, whose world matrix is singular.
+        parent: NodeKey,
     },
-    /// A scene contradicts itself: a defect of Ropewalk, which only `Scene::validate` looks for.
+    /// An internal invariant of the scene is violated. Only [`Scene::validate`](crate::Scene::validate) returns this;
+    /// it is a bug in Ropewalk.
     #[error("internal defect: {object}: {what}")]
     Defect {
         /// The object that is wrong.
@@ -56,17 +73,17 @@ pub enum Error {
         /// What is wrong with it.
         what: &'static str,
     },
-    /// A value that must be a number within a range is not.
+    /// A value is outside its allowed range or not finite.
     #[error("{what} is {value}, but must be {expected}")]
     OutOfRange {
-        /// What the value is: "material roughness".
+        /// Name of the value: "material roughness".
         what: &'static str,
         /// The value, as given.
         value: String,
-        /// What is allowed: "finite", "between 0 and 1".
+        /// The allowed values: "finite", "between 0 and 1".
         expected: &'static str,
     },
-    /// A geometry's arrays contradict each other.
+    /// A geometry's arrays are inconsistent: wrong lengths, an index out of range, or a value that is not finite.
     #[error("geometry {what}[{index}] is {value}, but {expected}")]
     InvalidGeometry {
         /// The array: "positions", "indices", "normals".
@@ -75,35 +92,34 @@ pub enum Error {
         index: usize,
         /// The offending value.
         value: String,
-        /// What is allowed, and the limit.
+        /// The allowed values, and the limit.
         expected: String,
     },
     /// A delta does not fit the scene that it was applied to.
-    #[error("{object}: {what}: the delta is damaged, or was made for another state of the scene")]
+    #[error("{object}: {cause}: the delta is damaged, or was made for another state of the scene")]
     Delta {
         /// The first object whose state does not fit.
         object: ObjectKey,
-        /// What does not fit.
-        what: &'static str,
+        /// Why it does not fit.
+        cause: DeltaFault,
     },
     /// Undo or redo was called by the edits of a transaction.
     #[error("cannot {attempt} within a transaction: let it end first")]
     Transaction {
-        /// What was attempted: "undo".
-        attempt: &'static str,
+        /// The call.
+        attempt: HistoryStep,
     },
-    /// The queue that a batch of edits was sent to is gone, and the batch with it.
+    /// The [`EditQueue`](crate::graph::EditQueue) was dropped before it applied the batch.
     #[error("the edits were not applied: their queue was dropped")]
     QueueClosed,
-    /// A scene file or a recording is damaged, or not one.
+    /// A scene file or recording is damaged, of another format version, or not such a file.
     #[error("{path}: frame {frame}: {source}")]
     SceneFile {
         /// The file.
         path: PathBuf,
-        /// Which frame: 0 for a saved scene, and for the start of a recording.
+        /// Index of the frame in the file; a saved scene has frame 0 only.
         frame: usize,
         /// What is wrong with it.
-        #[source]
         source: SceneFileError,
     },
     /// A file could not be read or written.
@@ -111,8 +127,8 @@ pub enum Error {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the operating system said.
-        source: std::io::Error,
+        /// The error of the operating system.
+        source: IoFault,
     },
     /// A glTF file breaks the specification, or is damaged.
     #[error("{path}: {object}: {cause}")]
@@ -135,43 +151,46 @@ pub enum Error {
     /// There is no usable GPU.
     #[error("no usable GPU: {reason}")]
     NoGpu {
-        /// Each adapter that was looked at, and why it was not taken.
+        /// Each adapter that was considered, and why it was rejected.
         reason: String,
     },
-    /// The scene or image needs more of a resource than there is.
-    #[error("{what} needs {needed}, more than the limit of {limit}{hint}")]
+    /// The scene, image or call needs more of a resource than there is.
+    #[error(
+        "{resource} needs {needed} {}, more than the limit of {limit}{}",
+        resource.unit(),
+        Advice(resource.advice())
+    )]
     Limit {
-        /// The resource: "the triangles buffer (bytes)".
-        what: &'static str,
-        /// How much the scene needs.
+        /// The resource.
+        resource: Resource,
+        /// The amount needed, in the [unit](Resource::unit) of the resource.
         needed: u64,
-        /// How much there is.
+        /// The amount that there is.
         limit: u64,
-        /// What would help, starting with "; ", or nothing.
-        hint: &'static str,
     },
     /// The GPU driver reported a failure.
     #[error("the GPU failed during {during}: {message}")]
     Gpu {
-        /// What was being done: "frame readback".
+        /// The operation: "frame readback".
         during: &'static str,
-        /// What the driver said.
+        /// The driver's message.
         message: String,
     },
-    /// The GPU's driver gave the device up: it was unplugged, restarted, updated, or ran too long. Nothing on it is left.
+    /// The GPU device was lost: the GPU was unplugged, its driver restarted or updated, or a submission ran too long
+    /// (watchdog). Nothing stored on the device survives.
     #[error("the device was lost during {during}: {message}")]
     DeviceLost {
-        /// What was being done, or was to be.
+        /// The operation that was running or about to start.
         during: &'static str,
-        /// What the driver said.
+        /// The driver's message.
         message: String,
     },
-    /// The GPU has no memory left: the scene or the image is too large for it, or others use it.
+    /// The GPU has no memory left: the scene or the image is too large for it, or other programs use the memory.
     #[error("out of GPU memory during {during}: {message}; render a smaller image or scene, or on the CPU")]
     OutOfMemory {
-        /// What was being done: "the upload of the scene".
+        /// The operation: "the upload of the scene".
         during: &'static str,
-        /// What the driver said.
+        /// The driver's message.
         message: String,
     },
     /// A file name does not say which image format to write.
@@ -181,18 +200,310 @@ pub enum Error {
         path: PathBuf,
     },
     /// An image could not be encoded.
-    #[error("{path}: {source}")]
+    #[error("{path}: {cause}")]
     Image {
         /// The file.
         path: PathBuf,
-        /// What the encoder said.
-        source: image::ImageError,
+        /// The encoder's message.
+        cause: String,
     },
 }
 
-fn wrong_core_hint(expected: &str) -> &'static str {
-    if expected == "transform" { ": put a transform node above it" } else { "" }
+impl Error {
+    /// The error of reading or writing the file `path`.
+    pub(crate) fn io(path: &Path, source: io::Error) -> Self {
+        Self::Io { path: path.to_owned(), source: source.into() }
+    }
+
+    /// The error of needing more of a resource than there is. The only place that makes it; most callers call
+    /// [`require_within`].
+    pub(crate) fn limit(resource: Resource, needed: u64, limit: u64) -> Self {
+        Self::Limit { resource, needed, limit }
+    }
 }
 
-/// [`std::result::Result`] with this crate's [`enum@Error`].
-pub type Result<T, E = Error> = std::result::Result<T, E>;
+fn wrong_core_advice(expected: CoreKind) -> &'static str {
+    if expected == CoreKind::Transform { ": put a transform node above it" } else { "" }
+}
+
+/// An edit that the root node does not allow; see [`Error::Root`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum RootEdit {
+    /// Removing it.
+    Remove,
+    /// Giving it a parent or a sibling.
+    Move,
+    /// Giving it a core of this kind.
+    SetCore(CoreKind),
+}
+
+impl fmt::Display for RootEdit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Remove => f.write_str("removed"),
+            Self::Move => f.write_str("moved"),
+            Self::SetCore(kind) => write!(f, "given a core other than a group ({kind})"),
+        }
+    }
+}
+
+/// A step through the undo history; see [`Error::Transaction`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum HistoryStep {
+    /// [`Scene::undo`](crate::Scene::undo).
+    Undo,
+    /// [`Scene::redo`](crate::Scene::redo).
+    Redo,
+}
+
+impl fmt::Display for HistoryStep {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Undo => "undo",
+            Self::Redo => "redo",
+        })
+    }
+}
+
+/// Why the target state of an object does not fit a scene; see [`Error::Delta`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum DeltaFault {
+    /// The objects of the delta are not in ascending order, or one occurs twice.
+    DuplicateObject,
+    /// Two objects of the delta have keys of the same slot.
+    SharedSlot,
+    /// An object that stays in the scene has a key of the same slot.
+    SlotTaken,
+    /// No scene issues such a key.
+    InvalidKey,
+    /// The state is not that of an object of the key's kind.
+    KindMismatch,
+    /// A node other than the root has no parent.
+    NoParent,
+    /// The previous sibling has another parent.
+    SiblingElsewhere,
+    /// Two nodes have the same previous sibling.
+    SiblingTwice,
+    /// A node is among its own previous siblings.
+    SiblingCycle,
+    /// A removed object is still referenced.
+    StillUsed,
+    /// A child of a removed node is not removed.
+    ChildStays,
+}
+
+impl fmt::Display for DeltaFault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::DuplicateObject => "it occurs twice, or out of order",
+            Self::SharedSlot => "another object of the delta has a key of the same slot",
+            Self::SlotTaken => "another object of the scene has a key of the same slot",
+            Self::InvalidKey => "no scene issues this key",
+            Self::KindMismatch => "its state is that of another kind of object",
+            Self::NoParent => "it would have no parent, as only the root has",
+            Self::SiblingElsewhere => "its previous sibling would have another parent",
+            Self::SiblingTwice => "another node would have the same previous sibling",
+            Self::SiblingCycle => "it would come after itself among its siblings",
+            Self::StillUsed => "it would be removed, but something still uses it",
+            Self::ChildStays => "its parent would be removed, but not it",
+        })
+    }
+}
+
+/// A resource with a limit; see [`Error::Limit`]. `Display` gives its name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum Resource {
+    /// Entries of the flattened hierarchy.
+    HierarchyEntries,
+    /// Key slots, which a delta of some objects may skip.
+    KeySlots,
+    /// Elements of a device array of this name.
+    DeviceArray(&'static str),
+    /// Instances in the TLAS.
+    Instances,
+    /// Pixels of an image.
+    ImagePixels,
+    /// Columns of an image that a GPU renders.
+    ImageWidth,
+    /// Rows of an image that a GPU renders.
+    ImageHeight,
+    /// Bytes of the device array of this name in bindings of a GPU.
+    GpuArray(&'static str),
+    /// Bytes of a batch's rays in a binding of a GPU.
+    RayBinding,
+    /// Bytes of a batch's results in a binding of a GPU.
+    ResultBinding,
+    /// Bytes of the application's buffer of rays.
+    RayBuffer,
+    /// Bytes of the application's buffer of results.
+    ResultBuffer,
+    /// Storage buffers of a shader stage of the kernel.
+    StorageBuffers,
+    /// Storage textures of a shader stage of the kernel.
+    StorageTextures,
+    /// Uniform buffers of a shader stage of the kernel.
+    UniformBuffers,
+    /// Bind groups of the kernel.
+    BindGroups,
+    /// Uniform buffers with a dynamic offset of the kernel.
+    DynamicUniformBuffers,
+    /// Invocations of a workgroup of the kernel.
+    WorkgroupInvocations,
+    /// Invocations along x of a workgroup of the kernel.
+    WorkgroupWidth,
+    /// Invocations along y of a workgroup of the kernel.
+    WorkgroupHeight,
+    /// Workgroups of a dispatch of the kernel, along one dimension.
+    Workgroups,
+}
+
+impl Resource {
+    /// Unit of the amounts of [`Error::Limit`], in the plural: "bytes".
+    pub fn unit(&self) -> &'static str {
+        self.row().1
+    }
+
+    /// What helps when the limit is reached; `None` where nothing is known to.
+    pub fn advice(&self) -> Option<&'static str> {
+        Some(self.row().2).filter(|advice| !advice.is_empty())
+    }
+
+    /// Name, unit and advice.
+    fn row(&self) -> (&'static str, &'static str, &'static str) {
+        const RESEND: &str =
+            "the delta is damaged, or so many objects came and went since the last one that a snapshot is needed";
+        const SHRINK: &str = "share geometry between nodes, use smaller textures, or use the cpu executor";
+        const SPLIT_IMAGE: &str = "render it in parts, or use the cpu executor";
+        const SPLIT_BATCH: &str = "trace fewer rays at a time";
+        const REQUEST: &str = "request the device with ropewalk's required_limits(), or use another adapter";
+        match *self {
+            Self::HierarchyEntries => {
+                ("the scene with all instances of its nodes", "entries", "instances of instances multiply")
+            }
+            Self::KeySlots => ("a key of a delta", "slots", RESEND),
+            Self::DeviceArray(name) => (name, "elements", ""),
+            Self::Instances => ("the instances array", "elements", ""),
+            Self::ImagePixels => ("the image", "pixels", "render the image in parts"),
+            Self::ImageWidth => ("the image's width", "pixels", SPLIT_IMAGE),
+            Self::ImageHeight => ("the image's height", "pixels", SPLIT_IMAGE),
+            Self::GpuArray(name) => (name, "bytes", SHRINK),
+            Self::RayBinding => ("the buffer of rays", "bytes", SPLIT_BATCH),
+            Self::ResultBinding => ("the buffer of results", "bytes", SPLIT_BATCH),
+            Self::RayBuffer => ("the buffer of rays", "bytes", "the buffer is too small for its count of rays"),
+            Self::ResultBuffer => ("the buffer of results", "bytes", "the buffer is too small for its count of rays"),
+            Self::StorageBuffers => ("the kernel", "storage buffers a shader stage", REQUEST),
+            Self::StorageTextures => ("the kernel", "storage textures a shader stage", REQUEST),
+            Self::UniformBuffers => ("the kernel", "uniform buffers a shader stage", REQUEST),
+            Self::BindGroups => ("the kernel", "bind groups", REQUEST),
+            Self::DynamicUniformBuffers => ("the kernel", "dynamic uniform buffers", REQUEST),
+            Self::WorkgroupInvocations => ("the kernel", "invocations a workgroup", REQUEST),
+            Self::WorkgroupWidth => ("the kernel", "invocations a workgroup along x", REQUEST),
+            Self::WorkgroupHeight => ("the kernel", "invocations a workgroup along y", REQUEST),
+            Self::Workgroups => ("the kernel", "workgroups a dispatch", REQUEST),
+        }
+    }
+}
+
+impl fmt::Display for Resource {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.row().0)
+    }
+}
+
+/// Appends advice to a message.
+struct Advice(Option<&'static str>);
+
+impl fmt::Display for Advice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.map_or(Ok(()), |advice| write!(f, "; {advice}"))
+    }
+}
+
+/// An error of the operating system: a copy of [`std::io::Error`] that can be cloned and compared.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct IoFault {
+    kind: io::ErrorKind,
+    message: String,
+}
+
+impl IoFault {
+    /// The category of the error.
+    pub fn kind(&self) -> io::ErrorKind {
+        self.kind
+    }
+}
+
+impl From<io::Error> for IoFault {
+    fn from(error: io::Error) -> Self {
+        Self { kind: error.kind(), message: error.to_string() }
+    }
+}
+
+impl fmt::Display for IoFault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.message)
+    }
+}
+
+impl std::error::Error for IoFault {}
+
+/// Fails with [`Error::OutOfRange`] unless the condition holds.
+pub(crate) fn require(holds: bool, what: &'static str, value: &dyn Debug, expected: &'static str) -> Result<()> {
+    if holds { Ok(()) } else { Err(Error::OutOfRange { what, value: format!("{value:?}"), expected }) }
+}
+
+/// Fails with [`Error::Limit`] if more of a resource is needed than there is.
+pub(crate) fn require_within(resource: Resource, needed: u64, limit: u64) -> Result<()> {
+    if needed <= limit { Ok(()) } else { Err(Error::limit(resource, needed, limit)) }
+}
+
+/// Fails with [`Error::Defect`] unless an invariant of an object holds.
+pub(crate) fn require_invariant(holds: bool, object: impl Into<ObjectKey>, what: &'static str) -> Result<()> {
+    if holds { Ok(()) } else { Err(Error::Defect { object: object.into(), what }) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_limit_is_told_with_its_unit_and_advice() {
+        assert_eq!(require_within(Resource::ImagePixels, 4, 4), Ok(()));
+        let error = require_within(Resource::ImagePixels, 5, 4).unwrap_err();
+        assert_eq!(error.to_string(), "the image needs 5 pixels, more than the limit of 4; render the image in parts");
+        let error = require_within(Resource::DeviceArray("the triangles array"), 9, 8).unwrap_err();
+        assert_eq!(error.to_string(), "the triangles array needs 9 elements, more than the limit of 8");
+    }
+
+    #[test]
+    fn errors_can_be_compared_and_cloned() {
+        let missing = || Error::io(Path::new("a"), io::ErrorKind::NotFound.into());
+        assert_eq!(missing(), missing().clone());
+        assert_ne!(missing(), Error::io(Path::new("b"), io::ErrorKind::NotFound.into()));
+        let Error::Io { source, .. } = missing() else { unreachable!() };
+        assert_eq!(source.kind(), io::ErrorKind::NotFound);
+    }
+
+    /// A second place would have words of its own for the same limit.
+    #[test]
+    fn errors_of_limits_are_made_in_one_place() {
+        let literal = ["::Limit", " { resource"].concat();
+        let mut folders = vec![Path::new(env!("CARGO_MANIFEST_DIR")).join("src")];
+        let mut found = Vec::new();
+        while let Some(folder) = folders.pop() {
+            for entry in std::fs::read_dir(folder).unwrap() {
+                let path = entry.unwrap().path();
+                if path.is_dir() {
+                    folders.push(path);
+                } else {
+                    let count = std::fs::read_to_string(&path).unwrap().matches(&literal).count();
+                    found.extend(std::iter::repeat_n(path, count));
+                }
+            }
+        }
+        assert!(found.len() == 1 && found[0].ends_with("error.rs"), "{found:?}");
+    }
+}

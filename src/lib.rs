@@ -42,7 +42,7 @@ pub mod accel;
 mod atomic_file;
 pub mod compile;
 pub mod device;
-mod error;
+pub mod error;
 pub mod gltf;
 pub mod graph;
 pub mod image;

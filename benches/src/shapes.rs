@@ -65,7 +65,7 @@ pub fn geometry_core(scene: &mut Scene, geometry: Geometry) -> Result<CoreKey> {
 /// As [`Scene::add_geometry`].
 pub fn add_copies(scene: &mut Scene, geometry: Geometry, count: u32, overlap: f64) -> Result<()> {
     let core = geometry_core(scene, geometry)?;
-    let Some(key) = scene.core_by_key(core)?.geometry() else { return Ok(()) };
+    let Some(key) = scene.core(core)?.geometry() else { return Ok(()) };
     let bounds = scene.geometry_bounds(key)?;
     let size = bounds.max - bounds.min;
     let scale = (overlap / (f64::from(count) * size.x * size.y * size.z)).cbrt();

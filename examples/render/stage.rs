@@ -30,5 +30,5 @@ pub(crate) fn light_if_dark(scene: &mut Scene, view: &View) -> ropewalk::Result<
 
 fn cores_of_kind(scene: &Scene, is_kind: impl Fn(&Core) -> bool) -> Vec<NodeKey> {
     let nodes = scene.subtree(scene.root()).into_iter().flatten();
-    nodes.filter(|&node| scene.core(node).is_ok_and(&is_kind)).collect()
+    nodes.filter(|&node| scene.node_core(node).is_ok_and(&is_kind)).collect()
 }

@@ -7,6 +7,7 @@ use bytemuck::Pod;
 use range_alloc::RangeAllocator;
 
 use crate::device::DeviceBuffer;
+use crate::error::Resource;
 use crate::{Error, Result};
 
 /// Hands out ranges of one [`DeviceBuffer`]; a released range is used again, best fit first.
@@ -30,7 +31,7 @@ impl BufferAllocator {
         if values.is_empty() {
             return Ok(0..0);
         }
-        let limit = |needed| Error::Limit { what: self.array_name, needed, limit: u32::MAX.into(), hint: "" };
+        let limit = |needed| Error::limit(Resource::DeviceArray(self.array_name), needed, u32::MAX.into());
         let count = u32::try_from(values.len()).map_err(|_| limit(values.len() as u64))?;
         let Ok(range) = self.allocator.allocate_range(count) else {
             return Err(limit(u64::from(count) + buffer.len() as u64));

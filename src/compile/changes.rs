@@ -37,7 +37,7 @@ impl SceneChanges {
                 ObjectKey::Node(node) => dirty.add_node_change(scene, node, change),
                 ObjectKey::Core(key) => {
                     let users = || scene.users(key).into_iter().flatten();
-                    match scene.core_by_key(key) {
+                    match scene.core(key) {
                         _ if change.contains(Change::KIND) => dirty.reclassified_nodes.extend(users()),
                         Ok(Core::Transform(_)) => dirty.moved_nodes.extend(users()),
                         Ok(Core::Light(_)) => dirty.lights = true,
@@ -56,7 +56,7 @@ impl SceneChanges {
     fn add_node_change(&mut self, scene: &Scene, node: NodeKey, change: Change) {
         let own = Change::ADDED | Change::PARENT | Change::CORE | Change::MASK | Change::VISIBILITY;
         // The children of these are counted: each may be another child than it was.
-        let counts = || matches!(scene.core(node), Ok(Core::Switch(_) | Core::Lod(_)));
+        let counts = || matches!(scene.node_core(node), Ok(Core::Switch(_) | Core::Lod(_)));
         if change.intersects(own) || (change.contains(Change::CHILDREN) && counts()) {
             self.reclassified_nodes.push(node);
         }

@@ -267,7 +267,7 @@ impl Compiler {
         let node = hierarchy.nodes()[entry];
         let placed = &hierarchy.resolved()[entry];
         // A gap has no core.
-        let core = scene.core(node).ok().filter(|_| placed.visible && self.view.is_shown(entry));
+        let core = scene.node_core(node).ok().filter(|_| placed.visible && self.view.is_shown(entry));
         match core {
             Some(Core::Light(_)) => drop(self.light_entries.insert(entry as u32)),
             _ => drop(self.light_entries.remove(&(entry as u32))),
@@ -343,7 +343,7 @@ impl Compiler {
         let mut lights = Vec::with_capacity(self.light_entries.len());
         for &entry in &self.light_entries {
             let entry = entry as usize;
-            if let Core::Light(light) = scene.core(hierarchy.nodes()[entry])? {
+            if let Core::Light(light) = scene.node_core(hierarchy.nodes()[entry])? {
                 lights.extend(pack::light_record(light, &self.view.world_from_local(hierarchy, entry), self.origin));
             }
         }

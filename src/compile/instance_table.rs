@@ -8,12 +8,13 @@ use super::geometry_table::GeometryTable;
 use super::material_table::MaterialTable;
 use super::pack::InstanceTransform;
 use super::view_dependent::ViewDependentState;
+use crate::Result;
 use crate::accel::{Tlas, TlasUpdate};
 use crate::device::layout::{InstanceFlags, InstanceRecord, NONE, PrimitiveRange};
 use crate::device::{DeviceArrays, Needs};
+use crate::error::{Resource, require_within};
 use crate::graph::{GeometryKey, Hierarchy, KeyMap, MaterialKey, NodeKey, NodePath};
 use crate::math::Aabb;
-use crate::{Error, Result};
 
 /// An entry of the hierarchy that shows a geometry.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -93,7 +94,7 @@ impl InstanceTable {
     /// Makes an entry a member, another member, or none.
     ///
     /// # Errors
-    /// [`Error::Limit`] beyond 2^28 members: a leaf's instance index has 28 bits.
+    /// [`Error::Limit`](crate::Error::Limit) beyond 2^28 members: a leaf's instance index has 28 bits.
     pub(super) fn set_member(&mut self, entry: usize, member: Option<Member>, arrays: &mut DeviceArrays) -> Result<()> {
         let slot = self.slot_of_entry[entry];
         match member {
@@ -190,10 +191,7 @@ impl InstanceTable {
             return Ok(slot);
         }
         let (slot, limit) = (self.slots.len() as u32, PrimitiveRange::MAX_FIRST);
-        if slot >= limit {
-            let needed = u64::from(slot) + 1;
-            return Err(Error::Limit { what: "the instances array", needed, limit: limit.into(), hint: "" });
-        }
+        require_within(Resource::Instances, u64::from(slot) + 1, limit.into())?;
         self.slots.push(InstanceSlot::default());
         self.world_bounds.push(Aabb::EMPTY);
         Ok(slot)

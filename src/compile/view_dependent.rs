@@ -61,7 +61,7 @@ impl ViewDependentState {
     pub(super) fn classify(&mut self, scene: &Scene, hierarchy: &Hierarchy, entry: usize) {
         let key = entry as u32;
         // A gap has no core.
-        let Ok(core) = scene.core(hierarchy.nodes()[entry]) else { return };
+        let Ok(core) = scene.node_core(hierarchy.nodes()[entry]) else { return };
         match core {
             Core::Lod(_) => self.lods.entry(key).or_default().is_applied = false,
             _ => self.unset_lod(hierarchy, key),
@@ -125,7 +125,7 @@ impl ViewDependentState {
         let before = std::mem::take(&mut self.billboard_worlds);
         for range in hierarchy.subtrees(self.billboards.iter().map(|&entry| entry as usize)) {
             for entry in range {
-                let Ok(core) = scene.core(hierarchy.nodes()[entry]) else { continue };
+                let Ok(core) = scene.node_core(hierarchy.nodes()[entry]) else { continue };
                 let parent = hierarchy.parents()[entry];
                 let above = self.billboard_worlds.get(&parent).copied();
                 let above = above.unwrap_or_else(|| hierarchy.world_from_parent(entry));
@@ -151,7 +151,7 @@ impl ViewDependentState {
         choice: &mut ViewChanges,
     ) -> Result<()> {
         let node = hierarchy.nodes()[entry as usize];
-        let Core::Lod(lod) = scene.core(node)? else { return Ok(()) };
+        let Core::Lod(lod) = scene.node_core(node)? else { return Ok(()) };
         let world = self.world_from_local(hierarchy, entry as usize);
         let center = world.transform_point3(lod.center);
         let measured = match lod.metric {

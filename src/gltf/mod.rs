@@ -115,7 +115,7 @@ pub fn import_with(
     parent: NodeKey,
 ) -> Result<ImportReport> {
     let path = path.as_ref();
-    let bytes = uri::read_file(path, u64::MAX).map_err(|source| Error::Io { path: path.into(), source })?;
+    let bytes = uri::read_file(path, u64::MAX).map_err(|error| Error::io(path, error))?;
     import_from_slice(&bytes, path, options, scene, parent)
 }
 

@@ -1,4 +1,4 @@
-//! Geometries, materials and textures: added, replaced, and freed when their last user goes.
+//! Geometries, materials and textures: added, replaced, and freed when their last user is removed.
 
 use std::sync::Arc;
 
@@ -6,7 +6,6 @@ use glam::Vec3;
 
 use super::changes::Change;
 use super::core::CoreSlot;
-use super::scene::stale_key_error;
 use super::store::Store;
 use super::value_checks::{check_material, check_texture};
 use super::{Core, CoreKey, Geometry, GeometryKey, Material, MaterialKey, Scene, Texture, TextureKey};
@@ -27,18 +26,18 @@ impl<T> UseCounted<T> {
     }
 }
 
-/// A geometry with what is known of it.
+/// A geometry with its version and local bounds.
 #[derive(Debug)]
 pub(super) struct StoredGeometry {
     pub(super) geometry: Geometry,
-    /// Higher for each that the key has named.
+    /// Increases each time the geometry under this key is replaced.
     pub(super) version: u64,
     /// The box around its triangles; vertices that none of them uses do not count.
     pub(super) bounds: Bounds,
 }
 
 impl StoredGeometry {
-    /// Measures a geometry that was checked.
+    /// Computes the bounds of a geometry that was validated.
     pub(super) fn from_validated(geometry: Geometry, version: u64) -> Self {
         let bounds = geometry.bounds().into();
         Self { geometry, version, bounds }
@@ -58,7 +57,7 @@ impl Scene {
         Ok(key)
     }
 
-    /// The geometry that a key names.
+    /// The geometry with this key. O(1).
     ///
     /// # Errors
     /// [`Error::StaleKey`](crate::Error::StaleKey).
@@ -66,8 +65,8 @@ impl Scene {
         Ok(&self.stored_geometry(key)?.geometry)
     }
 
-    /// Higher each time the geometry was replaced, by one or more: what is derived from one version of one key stays
-    /// right.
+    /// Version of the geometry; increases with every replacement. Data derived from one (key, version) pair stays
+    /// valid.
     ///
     /// # Errors
     /// [`Error::StaleKey`](crate::Error::StaleKey).
@@ -88,7 +87,8 @@ impl Scene {
         self.geometries.iter().map(|(key, used)| (key, &used.value.geometry))
     }
 
-    /// Replaces a geometry wherever it is used. O(vertices + triangles), to check it; if its box changes, also O(cores).
+    /// Replaces a geometry for all cores that use it. O(vertices + triangles), to check it; if its box changes, also
+    /// O(cores).
     ///
     /// # Errors
     /// [`Error::StaleKey`](crate::Error::StaleKey); [`Error::InvalidGeometry`](crate::Error::InvalidGeometry) as
@@ -101,12 +101,12 @@ impl Scene {
         Ok(())
     }
 
-    /// Puts the vertices of a geometry elsewhere, wherever it is used, and keeps its triangles: for what deforms. `None` keeps
-    /// the normals that it has. O(vertices + triangles), on all threads; if its box changes, also O(cores).
+    /// Moves the vertices of a geometry and keeps its triangles; for deforming meshes. `None` keeps the current
+    /// normals. O(vertices + triangles), on all threads; if its box changes, also O(cores).
     ///
-    /// The next render then refits the geometry's acceleration structure instead of building another; see
-    /// `docs/SCENE_GRAPH.md`, "What deforms". [`set_geometry`](Self::set_geometry) with equal `indices` does the same, but
-    /// must find out that they are.
+    /// The next render then refits the geometry's acceleration structure instead of rebuilding it, if that is a BVH of
+    /// quality [`Low`](super::Quality::Low) or [`Medium`](super::Quality::Medium); see `docs/SCENE_GRAPH.md`, "What
+    /// deforms". [`set_geometry`](Self::set_geometry) with equal `indices` does the same, but has to compare them.
     ///
     /// ```
     /// use glam::Vec3;
@@ -120,8 +120,8 @@ impl Scene {
     /// ```
     ///
     /// # Errors
-    /// [`Error::StaleKey`](crate::Error::StaleKey); [`Error::InvalidGeometry`](crate::Error::InvalidGeometry) where there are not
-    /// as many positions or normals as the geometry has vertices, or one is not finite.
+    /// [`Error::StaleKey`](crate::Error::StaleKey); [`Error::InvalidGeometry`](crate::Error::InvalidGeometry) if the
+    /// number of positions or normals is not that of the geometry's vertices, or one is not finite.
     pub fn set_positions(
         &mut self,
         key: GeometryKey,
@@ -136,14 +136,14 @@ impl Scene {
         Ok(())
     }
 
-    /// Puts a valid geometry in the place of another.
+    /// Replaces a geometry by a validated one.
     pub(super) fn replace_geometry(&mut self, key: GeometryKey, geometry: Geometry) {
         let old = &self.geometries[key].value;
         let new = StoredGeometry::from_validated(geometry, old.version + 1);
-        let resized = old.bounds != new.bounds;
+        let bounds_changed = old.bounds != new.bounds;
         self.save_prior_state(key);
         self.geometries[key].value = new;
-        if resized {
+        if bounds_changed {
             self.users_bounds_changed(key);
         }
         self.record(key, Change::DATA);
@@ -162,12 +162,12 @@ impl Scene {
         Ok(key)
     }
 
-    /// The material that a key names.
+    /// The material with this key. O(1).
     ///
     /// # Errors
     /// [`Error::StaleKey`](crate::Error::StaleKey).
     pub fn material(&self, key: MaterialKey) -> Result<&Material> {
-        self.materials.get(key).map(|used| &used.value).ok_or_else(|| stale_key_error(key))
+        Ok(&self.materials.require(key)?.value)
     }
 
     /// All materials, in no particular order.
@@ -175,7 +175,7 @@ impl Scene {
         self.materials.iter().map(|(key, used)| (key, &used.value))
     }
 
-    /// Replaces a material wherever it is used. O(1).
+    /// Replaces a material for all cores that use it. O(1).
     ///
     /// # Errors
     /// As [`add_material`](Self::add_material), and [`Error::StaleKey`](crate::Error::StaleKey) for the material.
@@ -191,6 +191,26 @@ impl Scene {
         Ok(())
     }
 
+    /// Edits a material for all cores that use it: [`set_material`](Self::set_material) with a changed copy. O(1).
+    ///
+    /// ```
+    /// use ropewalk::{Material, Scene};
+    ///
+    /// let mut scene = Scene::new();
+    /// let material = scene.add_material(Material::default())?;
+    /// scene.edit_material(material, |material| material.roughness = 0.2)?;
+    /// assert_eq!(scene.material(material)?.roughness, 0.2);
+    /// # Ok::<(), ropewalk::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// As [`set_material`](Self::set_material).
+    pub fn edit_material(&mut self, key: MaterialKey, edit: impl FnOnce(&mut Material)) -> Result<()> {
+        let mut material = self.material(key)?.clone();
+        edit(&mut material);
+        self.set_material(key, material)
+    }
+
     /// Adds a texture that no material uses yet. O(1).
     ///
     /// # Errors
@@ -202,12 +222,12 @@ impl Scene {
         Ok(key)
     }
 
-    /// The texture that a key names.
+    /// The texture with this key. O(1).
     ///
     /// # Errors
     /// [`Error::StaleKey`](crate::Error::StaleKey).
     pub fn texture(&self, key: TextureKey) -> Result<&Texture> {
-        self.textures.get(key).map(|used| &used.value).ok_or_else(|| stale_key_error(key))
+        Ok(&self.textures.require(key)?.value)
     }
 
     /// All textures, in no particular order.
@@ -215,7 +235,7 @@ impl Scene {
         self.textures.iter().map(|(key, used)| (key, &used.value))
     }
 
-    /// Replaces a texture wherever it is used. O(texels), to compare.
+    /// Replaces a texture for all materials that use it. O(texels), to compare.
     ///
     /// # Errors
     /// As [`add_texture`](Self::add_texture), and [`Error::StaleKey`](crate::Error::StaleKey) for the texture.
@@ -229,10 +249,10 @@ impl Scene {
         Ok(())
     }
 
-    /// Frees the cores, geometries, materials and textures that nothing uses: those that were never used. O(all of
-    /// them).
+    /// Frees the cores, geometries, materials and textures without users, which are those that never had one. O(cores +
+    /// geometries + materials + textures).
     pub fn remove_unused(&mut self) {
-        // Users first: freeing a core may free its geometry.
+        // Cores first: freeing one may free its geometry.
         for key in keys_where(&self.cores, |slot| slot.user_count == 0) {
             self.release_core_if_unused(key);
         }
@@ -242,7 +262,7 @@ impl Scene {
         self.remove_unused_among(&geometries, &materials, &textures);
     }
 
-    /// Frees those of these assets that nothing uses; keys of some that are gone are passed over. O(keys).
+    /// Frees those of these assets that have no users; stale keys are ignored. O(keys).
     pub(crate) fn remove_unused_among(
         &mut self,
         geometries: &[GeometryKey],
@@ -254,7 +274,7 @@ impl Scene {
                 self.free_geometry(key);
             }
         }
-        // Users first: freeing a material may free its textures.
+        // Materials before textures: freeing one may free its textures.
         for &key in materials {
             if is_unused(&self.materials, key) {
                 self.free_material(key);
@@ -267,7 +287,7 @@ impl Scene {
         }
     }
 
-    /// Counts a core's use of what it refers to.
+    /// Counts a core as a user of its geometry, material and instance target.
     pub(super) fn acquire_assets(&mut self, key: CoreKey, core: &Core) {
         self.register_instance(key, core);
         if let Some(geometry) = core.geometry() {
@@ -278,7 +298,8 @@ impl Scene {
         }
     }
 
-    /// Ends a core's use of what it refers to, and frees what nobody else uses.
+    /// Ends what [`acquire_assets`](Self::acquire_assets) began, and frees the geometry and material without other
+    /// users.
     pub(super) fn release_assets(&mut self, key: CoreKey, core: &Core) {
         self.unregister_instance(key, core);
         if let Some(geometry) = core.geometry()
@@ -293,7 +314,7 @@ impl Scene {
         }
     }
 
-    /// Tells the hierarchy that a geometry has another box. O(cores + its users).
+    /// Tells the hierarchy that the bounds of a geometry changed. O(cores + its users).
     pub(super) fn users_bounds_changed(&mut self, key: GeometryKey) {
         let users = |slot: &CoreSlot| std::iter::successors(slot.first_user, |&user| self.nodes[user].next_user);
         for slot in self.cores.values().filter(|slot| slot.core.geometry() == Some(key)) {
@@ -302,7 +323,7 @@ impl Scene {
     }
 
     fn stored_geometry(&self, key: GeometryKey) -> Result<&StoredGeometry> {
-        self.geometries.get(key).map(|used| &used.value).ok_or_else(|| stale_key_error(key))
+        Ok(&self.geometries.require(key)?.value)
     }
 
     pub(super) fn acquire_textures(&mut self, material: &Material) {
@@ -348,6 +369,7 @@ impl Scene {
         self.record(key, Change::REMOVED);
     }
 
+    /// Checks the keys and the numbers in a material.
     fn check_material(&self, material: &Material) -> Result<()> {
         for texture in material.textures() {
             self.texture(texture.texture)?;
@@ -356,7 +378,7 @@ impl Scene {
     }
 }
 
-/// Ends one use; whether it was the last.
+/// Ends one use. Returns whether it was the last.
 fn release<T>(used: &mut UseCounted<T>) -> bool {
     used.user_count -= 1;
     used.user_count == 0

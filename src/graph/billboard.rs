@@ -1,24 +1,24 @@
-//! Billboards: what turns towards whoever looks.
+//! Billboards: rotate their children to face the viewpoint.
 
 use glam::{DAffine3, DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
-/// Turns its children about the node's origin so that their +Z axis looks towards the eye. Each renderer turns them
-/// towards its own camera; mirrors show them as that camera sees them.
+/// Rotates its children about the node's origin so that +Z points at the camera. Evaluated per renderer; reflections
+/// show the orientation chosen for the camera.
 ///
-/// OpenSG's `Billboard`.
+/// As OpenSG's `Billboard`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub enum Billboard {
-    /// +Y stays as close to the camera's up direction as it can: labels, sprites.
+    /// About any axis, with +Y as close to the camera's up direction as possible: labels, sprites.
     #[default]
     Spherical,
-    /// Only about this local axis, of any length but 0: trees.
+    /// Only about this axis in local space, of any length but 0: trees.
     Cylindrical(DVec3),
 }
 
 impl Billboard {
-    /// The rotation `local_from_turned` for an eye and an up direction in the node's local space. The identity where
-    /// there is nothing to turn to: the eye stands at the origin, or on the axis.
+    /// The rotation `local_from_turned` for an eye and an up direction in the node's local space. The identity if the
+    /// direction is undefined: the eye is at the origin, or on the axis.
     pub fn rotation(&self, eye: DVec3, up: DVec3) -> DMat3 {
         self.try_rotation(eye, up).unwrap_or(DMat3::IDENTITY)
     }
@@ -26,11 +26,13 @@ impl Billboard {
     fn try_rotation(&self, eye: DVec3, up: DVec3) -> Option<DMat3> {
         match *self {
             Self::Spherical => {
+                // An orthonormal basis with +Z towards the eye; any X if up is parallel to that.
                 let z = eye.try_normalize()?;
                 let x = up.cross(z).try_normalize().unwrap_or_else(|| z.any_orthonormal_vector());
                 Some(DMat3::from_cols(x, z.cross(x), z))
             }
             Self::Cylindrical(axis) => {
+                // The angle about the axis from +Z to the eye, both projected onto the plane perpendicular to the axis.
                 let axis = axis.try_normalize()?;
                 let from = DVec3::Z.reject_from_normalized(axis).try_normalize()?;
                 let to = eye.reject_from_normalized(axis).try_normalize()?;
@@ -40,9 +42,9 @@ impl Billboard {
         }
     }
 
-    /// The rotation as a transform of the node `world`, for an eye and an up direction in the world.
-    pub(crate) fn local(&self, world: &DAffine3, eye: DVec3, up: DVec3) -> DAffine3 {
-        let local_from_world = world.inverse();
+    /// The rotation in the local space of a node with this world matrix, for an eye and an up direction in world space.
+    pub(crate) fn local(&self, world_from_local: &DAffine3, eye: DVec3, up: DVec3) -> DAffine3 {
+        let local_from_world = world_from_local.inverse();
         let rotation = if local_from_world.is_finite() {
             self.rotation(local_from_world.transform_point3(eye), local_from_world.transform_vector3(up))
         } else {

@@ -1,10 +1,11 @@
-//! A set of small numbers that gives them back in order.
+//! A two-level bit set that drains in ascending order.
 
-/// A set of numbers: one bit each, and one for each word that has any, so that a sparse set is drained quickly.
+/// A set of small numbers: one bit per number, and one summary bit per word of them, so that a sparse set drains
+/// quickly.
 #[derive(Debug, Default)]
 pub(super) struct BitSet {
     words: Vec<u64>,
-    /// Which words are not 0.
+    /// One bit per word: whether it is not 0.
     summary: Vec<u64>,
     has_any: bool,
 }
@@ -27,7 +28,7 @@ impl BitSet {
         self.has_any = true;
     }
 
-    /// Removes all numbers, the smallest first, as the iterator is run to its end. O(numbers + largest / 4096).
+    /// Removes all numbers in ascending order, as the iterator is run to its end. O(numbers + largest / 4096).
     pub(super) fn drain(&mut self) -> impl Iterator<Item = usize> {
         let Self { words, summary, has_any } = self;
         let has_any = std::mem::take(has_any);
@@ -37,7 +38,7 @@ impl BitSet {
     }
 }
 
-/// The places of the bits that are set.
+/// Indices of the set bits, ascending.
 fn ones(mut word: u64) -> impl Iterator<Item = usize> {
     std::iter::from_fn(move || {
         let bit = word.trailing_zeros() as usize;

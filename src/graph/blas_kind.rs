@@ -2,14 +2,14 @@
 
 use serde::{Deserialize, Serialize};
 
-/// The kind of a bottom-level structure, of one geometry. Every kind ends in the same arrays, so that geometries beside each
-/// other can have different ones (the paper's hybrid structures). What is seen is the same with all of them.
+/// Which acceleration structure (BLAS) is built for a geometry. All kinds are flattened into the same node format, so
+/// that kinds can be mixed in one scene (the paper's hybrid structures), and all give the same hits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum BlasKind {
     /// A bounding volume hierarchy.
     Bvh(Quality),
-    /// A kd-tree: space is cut in two again and again, and a triangle is in every cell that it reaches into. It takes the most
-    /// memory and time to build.
+    /// A kd-tree with SAH split planes: a triangle is referenced by every cell that it overlaps, up to twice the
+    /// triangles in total; nodes are the cells clipped to their content. Highest memory use and build time.
     KdTree,
 }
 
@@ -19,14 +19,14 @@ impl Default for BlasKind {
     }
 }
 
-/// How good a bounding volume hierarchy is, against how long it takes to build.
+/// Build quality of a bounding volume hierarchy: trace speed against build time (as Embree's `RTC_BUILD_QUALITY`).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Quality {
-    /// Built in the least time: for what changes every few frames.
+    /// Fastest build; for geometry that changes every few frames.
     Low,
-    /// For what changes now and then.
+    /// Default; for geometry that changes occasionally.
     #[default]
     Medium,
-    /// Traced in the least time, with some triangles in several leaves: for what stays as it is.
+    /// Fastest traversal: spatial splits may reference a triangle from several leaves; for static geometry.
     High,
 }

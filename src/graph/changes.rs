@@ -1,31 +1,31 @@
-//! The change log: what changed since each consumer last looked.
+//! The change log: per-object change flags since each cursor's last read.
 //!
-//! The log is a queue of segments, each with one entry an object. A segment begins where some consumer's cursor
-//! stands; where no cursor stands any more, neighbours are merged. So there are at most as many segments as cursors,
-//! and the log's size is bounded by the objects, however often they change and however far a consumer lags. Merging
-//! costs no more than the read that allowed it.
+//! The log is a queue of segments, each with one entry per object. A new segment starts at every cursor position;
+//! segments without a cursor at their start are merged into the one before. So there are at most as many segments as
+//! cursors, and the log's size is bounded by the number of objects, however often they change and however far a
+//! consumer lags. Merging costs no more than the read that allowed it.
 
 use std::collections::{HashMap, HashSet, VecDeque};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Weak};
 
 use super::key_map::KeyMap;
-use super::validate::require_invariant;
 use super::{CoreKey, GeometryKey, MaterialKey, NodeKey, ObjectKey, SceneId, TextureKey};
 use crate::Result;
+use crate::error::require_invariant;
 
 bitflags::bitflags! {
-    /// What changed in an object. [`ADDED`](Self::ADDED) and [`REMOVED`](Self::REMOVED) stand alone: they say it all.
-    /// An object that went and came back under its key, as by undo, has all other flags.
+    /// What changed in an object. [`ADDED`](Self::ADDED) and [`REMOVED`](Self::REMOVED) are never combined with other
+    /// flags. An object that was removed and restored under the same key (undo) has all flags except these two.
     #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
     pub struct Change: u16 {
-        /// The object is new.
+        /// The object was added.
         const ADDED = 1;
-        /// The object is gone. Nodes below a removed node have entries of their own.
+        /// The object was removed. Nodes below a removed node have entries of their own.
         const REMOVED = 2;
-        /// A node's parent, and with it its place among siblings.
+        /// A node's parent or its position among its siblings.
         const PARENT = 4;
-        /// Which core a node has.
+        /// The key of the core that a node has.
         const CORE = 8;
         /// A node's own mask.
         const MASK = 16;
@@ -33,44 +33,43 @@ bitflags::bitflags! {
         const VISIBILITY = 32;
         /// A node's name.
         const NAME = 64;
-        /// A core's transform, or whether it has one: all its users moved.
+        /// A core's transform, or whether the core is a transform: the world transforms of all its users changed.
         const TRANSFORM = 128;
-        /// Anything else in a core; all of a geometry, material or texture.
+        /// Any other content of a core; the content of a geometry, material or texture.
         const DATA = 256;
-        /// A core's kind: a geometry became a light, say. Its data changed with it.
+        /// A core's kind, for example from geometry to light. `DATA` is set with it.
         const KIND = 512;
-        /// A node's children: one came, went or changed places.
+        /// A node's list of children: one was added, removed or moved.
         const CHILDREN = 1024;
     }
 }
 
 impl Change {
-    /// Both, the later one after the earlier one; empty if the object came and went.
+    /// The combined change of two successive ones; empty if the object was added and removed.
     fn followed_by(self, later: Self) -> Self {
         match (self.contains(Self::ADDED), later.contains(Self::REMOVED)) {
             (true, true) => Self::empty(),
             (true, false) => Self::ADDED,
             (false, true) => Self::REMOVED,
-            // It went and came back: whatever it has may be another.
+            // Removed and restored: any part of it may differ.
             (false, false) if self.contains(Self::REMOVED) => Self::all().difference(Self::ADDED | Self::REMOVED),
             (false, false) => self | later,
         }
     }
 }
 
-/// What one consumer has to catch up with.
+/// The changes that one cursor has not read.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[must_use = "the cursor has moved past these changes"]
 pub enum Changes {
-    /// The consumer's first read: take the whole scene.
+    /// The cursor's first read of this scene: the consumer reads the whole scene.
     Everything,
-    /// What changed since the last read, each object once, in the order of first changes. Objects that came and went
-    /// are left out.
+    /// The objects changed since the last read, each once, ordered by first change. Objects added and removed in
+    /// between are omitted.
     Since(Vec<(ObjectKey, Change)>),
 }
 
-/// How far one consumer has read the log of a scene. Dropping it ends the subscription, and frees what only it had
-/// still to read.
+/// A read position in a scene's change log. Dropping it ends the subscription and frees log entries kept only for it.
 ///
 /// A default cursor has read nothing; see [`Scene::changes_since`](super::Scene::changes_since).
 #[derive(Debug, Default)]
@@ -78,50 +77,58 @@ pub struct ChangeCursor {
     subscription: Option<(SceneId, Position)>,
 }
 
-/// The start of the first segment that a consumer has not read. Only the scene's log reads or writes it.
+/// The start number of the first segment that a cursor has not read. Only the scene's log reads or writes it.
 type Position = Arc<AtomicU64>;
 
 /// The log of one scene. Without cursors it stores nothing.
 #[derive(Debug, Default)]
 pub(super) struct ChangeLog {
     cursors: Vec<Weak<AtomicU64>>,
-    /// Oldest first. The last one is open: new changes go there. Empty without cursors.
+    /// Oldest first. New changes are recorded in the last one, the open segment. Empty without cursors.
     segments: VecDeque<Segment>,
     /// Where the open segment has an object's entry.
-    places: EntryIndices,
-    /// The same, for objects that are gone and whose slot others have got since: they may come back.
-    displaced: HashMap<ObjectKey, usize>,
+    entry_indices: EntryIndices,
+    /// Entry indices of removed objects whose slot was reused since; undo may restore them.
+    reused_slot_entries: HashMap<ObjectKey, usize>,
 }
 
 impl ChangeLog {
     /// Adds one change to the open segment. O(1) amortised.
     pub(super) fn record(&mut self, object: ObjectKey, change: Change) {
         let Some(open) = self.segments.back_mut() else { return };
-        let place = self.places.get(object).filter(|&place| open.has_entry_at(object, place));
-        if let Some(place) = place.or_else(|| self.displaced.get(&object).copied()) {
-            open.merge_at(place, change);
+        // 1. Find the object's entry: by the hint for its slot, else among those whose slot was reused.
+        let hint = self.entry_indices.get(object).filter(|&index| open.has_entry_at(object, index));
+        if let Some(index) = hint.or_else(|| self.reused_slot_entries.get(&object).copied()) {
+            // 2. Merge into it. Where that left too many cancelled entries, entries move and all hints are set again.
+            open.merge_at(index, change);
             if open.compact() {
-                self.displaced.clear();
-                for (place, &(object, _)) in open.entries.iter().enumerate() {
-                    set_entry_index(object, place, &open.entries, &mut self.places, &mut self.displaced);
+                self.reused_slot_entries.clear();
+                for (index, &(object, _)) in open.entries.iter().enumerate() {
+                    let (hints, reused) = (&mut self.entry_indices, &mut self.reused_slot_entries);
+                    set_entry_index(object, index, &open.entries, hints, reused);
                 }
             }
             return;
         }
-        set_entry_index(object, open.entries.len(), &open.entries, &mut self.places, &mut self.displaced);
+        // 3. Else append an entry.
+        let (hints, reused) = (&mut self.entry_indices, &mut self.reused_slot_entries);
+        set_entry_index(object, open.entries.len(), &open.entries, hints, reused);
         open.entries.push((object, change));
         if self.cursors.iter().any(|cursor| cursor.strong_count() == 0) {
             self.forget_dropped_cursors();
         }
     }
 
-    /// What changed since the cursor's last read of this scene. Moves the cursor.
+    /// The changes since the cursor's last read of this scene. Advances the cursor.
     pub(super) fn read(&mut self, scene: SceneId, cursor: &mut ChangeCursor) -> Changes {
+        // 1. Nothing was recorded since.
         if self.is_caught_up(scene, cursor) {
             return Changes::Since(Vec::new());
         }
+        // 2. Close the open segment: what comes from now on is new to this cursor.
         self.forget_dropped_cursors();
         let now = self.begin_segment();
+        // 3. Advance the cursor, and merge the segments since its last read, or subscribe it.
         let changes = match &cursor.subscription {
             Some((subscribed, position)) if *subscribed == scene => {
                 let since = position.swap(now, Ordering::Relaxed);
@@ -134,6 +141,7 @@ impl ChangeLog {
                 Changes::Everything
             }
         };
+        // 4. Merge segments at whose start no cursor stands any more.
         self.merge_between_cursors();
         changes
     }
@@ -145,31 +153,32 @@ impl ChangeLog {
         *subscribed == scene && open.start == position.load(Ordering::Relaxed) && open.entries.is_empty()
     }
 
-    /// Allocates what recording changes of objects up to these takes.
+    /// Allocates the hints for objects up to these keys.
     pub(super) fn reserve(&mut self, last_node: Option<NodeKey>, last_core: Option<CoreKey>) {
         let last = [last_node.map(ObjectKey::from), last_core.map(ObjectKey::from)];
         last.into_iter().flatten().for_each(|object| {
-            self.places.set(object, 0);
+            self.entry_indices.set(object, 0);
         });
     }
 
-    /// The start of an open segment without entries.
+    /// Opens a segment without entries, if the open one has some. Returns its start number.
     fn begin_segment(&mut self) -> u64 {
         let start = match self.segments.back() {
             Some(open) if open.entries.is_empty() => return open.start,
             Some(open) => open.start + 1,
             None => 0,
         };
-        self.displaced.clear();
+        self.reused_slot_entries.clear();
         self.segments.push_back(Segment::new(start));
         start
     }
 
-    /// All entries from the segment that starts at `since` on, merged by object. Cursors are where they will be.
+    /// All entries from the segment that starts at `since` on, merged by object. The reading cursor was advanced
+    /// before.
     fn merged_since(&mut self, since: u64) -> Vec<(ObjectKey, Change)> {
         let first = self.segments.partition_point(|segment| segment.start < since);
         let mut merged = if self.lowest_cursor() > since {
-            // Nobody else is going to read it.
+            // No other cursor reads this segment: take it.
             std::mem::replace(&mut self.segments[first], Segment::new(since))
         } else {
             self.segments[first].copy()
@@ -181,7 +190,7 @@ impl ChangeLog {
         merged.entries
     }
 
-    /// Merges segments until each begins at some cursor.
+    /// Merges segments until a cursor stands at the start of each.
     fn merge_between_cursors(&mut self) {
         self.drop_read_segments();
         let starts = self.positions();
@@ -228,42 +237,44 @@ impl ChangeLog {
         for segment in &self.segments {
             let mut seen = HashSet::new();
             let entries = segment.entries.iter().enumerate().filter(|(_, (_, change))| !change.is_empty());
-            for (place, &(object, _)) in entries {
+            for (index, &(object, _)) in entries {
                 require_invariant(seen.insert(object), object, "it has two entries in one segment of the log")?;
-                let found = segment.index.is_empty() || segment.index.get(&object) == Some(&place);
+                let found = segment.index.is_empty() || segment.index.get(&object) == Some(&index);
                 require_invariant(found, object, "the log's index does not find it")?;
             }
-            let dead = segment.entries.iter().filter(|(_, change)| change.is_empty()).count();
-            require_invariant(dead == segment.cancelled, root, "the log miscounts what came and went")?;
+            let cancelled = segment.entries.iter().filter(|(_, change)| change.is_empty()).count();
+            require_invariant(cancelled == segment.cancelled, root, "the log miscounts its cancelled entries")?;
         }
         Ok(())
     }
 }
 
-/// Notes where an object's entry is, and keeps where that of the object is which had its slot before.
+/// Stores the index of the entry of `object`. If it displaces the index of an older generation of the slot, that one
+/// moves to `reused`.
 fn set_entry_index(
     object: ObjectKey,
-    place: usize,
+    entry_index: usize,
     entries: &[(ObjectKey, Change)],
-    places: &mut EntryIndices,
-    displaced: &mut HashMap<ObjectKey, usize>,
+    hints: &mut EntryIndices,
+    reused: &mut HashMap<ObjectKey, usize>,
 ) {
-    if let Some((other, other_place)) = places.set(object, place)
-        && entries.get(other_place).is_some_and(|&(found, change)| found == other && !change.is_empty())
+    if let Some((other, other_index)) = hints.set(object, entry_index)
+        && entries.get(other_index).is_some_and(|&(found, change)| found == other && !change.is_empty())
     {
-        displaced.insert(other, other_place);
+        reused.insert(other, other_index);
     }
 }
 
-/// Changes between two cursors.
+/// The changes between two cursor positions.
 #[derive(Debug)]
 struct Segment {
-    /// Where it starts; each later segment has a higher one.
+    /// Start number; ascending from segment to segment.
     start: u64,
-    /// One an object, in the order of first changes; without a change if the object came and went.
+    /// One entry per object, ordered by first change. A cancelled entry has no flags: the object was added and removed.
     entries: Vec<(ObjectKey, Change)>,
+    /// Number of cancelled entries.
     cancelled: usize,
-    /// Where each object's entry is; empty until something is merged into a closed segment.
+    /// Index of each object's entry; empty until another segment is merged into this one.
     index: HashMap<ObjectKey, usize>,
 }
 
@@ -276,29 +287,30 @@ impl Segment {
         Self { entries: self.entries.clone(), cancelled: self.cancelled, ..Self::new(self.start) }
     }
 
-    fn has_entry_at(&self, object: ObjectKey, place: usize) -> bool {
-        self.entries.get(place).is_some_and(|entry| entry.0 == object)
+    fn has_entry_at(&self, object: ObjectKey, entry_index: usize) -> bool {
+        self.entries.get(entry_index).is_some_and(|entry| entry.0 == object)
     }
 
-    fn merge_at(&mut self, place: usize, later: Change) {
-        let change = &mut self.entries[place].1;
-        // What came and went can come back.
+    /// Combines the change of an entry with a later one.
+    fn merge_at(&mut self, entry_index: usize, later: Change) {
+        let change = &mut self.entries[entry_index].1;
+        // An object whose entry was cancelled may be restored under its key.
         self.cancelled -= usize::from(change.is_empty());
         *change = change.followed_by(later);
         self.cancelled += usize::from(change.is_empty());
     }
 
-    /// Adds the changes of the segment after this one. O(changes there), once there is an index.
+    /// Adds the changes of the next segment to this one. O(entries of that one), once this one has an index.
     fn append(&mut self, later: &Self) {
         if later.entries.is_empty() {
             return;
         }
         if self.index.is_empty() {
-            self.index = self.entries.iter().enumerate().map(|(place, entry)| (entry.0, place)).collect();
+            self.index = self.entries.iter().enumerate().map(|(index, entry)| (entry.0, index)).collect();
         }
         for &(object, change) in later.entries.iter().filter(|(_, change)| !change.is_empty()) {
-            if let Some(&place) = self.index.get(&object) {
-                self.merge_at(place, change);
+            if let Some(&entry_index) = self.index.get(&object) {
+                self.merge_at(entry_index, change);
             } else {
                 self.index.insert(object, self.entries.len());
                 self.entries.push((object, change));
@@ -309,18 +321,18 @@ impl Segment {
         }
     }
 
-    /// Closes the gaps if half of the entries are dead; whether it did.
+    /// Removes cancelled entries if they are more than half. Returns whether it did.
     fn compact(&mut self) -> bool {
-        let worth_it = self.cancelled * 2 > self.entries.len();
-        if worth_it {
+        let is_worthwhile = self.cancelled * 2 > self.entries.len();
+        if is_worthwhile {
             self.entries.retain(|(_, change)| !change.is_empty());
             self.cancelled = 0;
         }
-        worth_it
+        is_worthwhile
     }
 }
 
-/// A place for each object. One that was never set, or was set long ago, is wrong: the reader checks what is there.
+/// A hint per slot: the index of the entry of one of its keys. Hints may be outdated; callers check the entry found.
 #[derive(Debug, Default)]
 struct EntryIndices {
     nodes: KeyMap<NodeKey, u32>,
@@ -332,32 +344,33 @@ struct EntryIndices {
 
 impl EntryIndices {
     fn get(&self, object: ObjectKey) -> Option<usize> {
-        let place = match object {
+        let entry_index = match object {
             ObjectKey::Node(key) => self.nodes.get(key),
             ObjectKey::Core(key) => self.cores.get(key),
             ObjectKey::Geometry(key) => self.geometries.get(key),
             ObjectKey::Material(key) => self.materials.get(key),
             ObjectKey::Texture(key) => self.textures.get(key),
         };
-        place.map(|&place| place as usize)
+        entry_index.map(|&index| index as usize)
     }
 
-    /// Gives the object of another generation that was in the same place, with its place.
-    fn set(&mut self, object: ObjectKey, place: usize) -> Option<(ObjectKey, usize)> {
+    /// Sets the hint of an object. Returns the hint of another generation of the slot, with its key, that this one
+    /// displaces.
+    fn set(&mut self, object: ObjectKey, entry_index: usize) -> Option<(ObjectKey, usize)> {
         fn insert<K: slotmap::Key + Into<ObjectKey>>(
             map: &mut KeyMap<K, u32>,
             key: K,
-            place: usize,
+            entry_index: usize,
         ) -> Option<(ObjectKey, usize)> {
-            let (other, place) = map.insert(key, place as u32).filter(|&(other, _)| other != key)?;
-            Some((other.into(), place as usize))
+            let (other, index) = map.insert(key, entry_index as u32).filter(|&(other, _)| other != key)?;
+            Some((other.into(), index as usize))
         }
         match object {
-            ObjectKey::Node(key) => insert(&mut self.nodes, key, place),
-            ObjectKey::Core(key) => insert(&mut self.cores, key, place),
-            ObjectKey::Geometry(key) => insert(&mut self.geometries, key, place),
-            ObjectKey::Material(key) => insert(&mut self.materials, key, place),
-            ObjectKey::Texture(key) => insert(&mut self.textures, key, place),
+            ObjectKey::Node(key) => insert(&mut self.nodes, key, entry_index),
+            ObjectKey::Core(key) => insert(&mut self.cores, key, entry_index),
+            ObjectKey::Geometry(key) => insert(&mut self.geometries, key, entry_index),
+            ObjectKey::Material(key) => insert(&mut self.materials, key, entry_index),
+            ObjectKey::Texture(key) => insert(&mut self.textures, key, entry_index),
         }
     }
 }

@@ -1,61 +1,63 @@
-//! Cores: what a node is. Nodes that share a core share its edits.
+//! Cores: the content of nodes (group, transform, geometry, light and so on), shared by any number of them.
+
+use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
 use super::{Billboard, Camera, CoreKey, GeometryKey, Light, Lod, MaterialKey, NodeKey, Switch, Transform};
 
-/// What a node is.
+/// The content of a node. Nodes that share a core share its edits.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum Core {
-    /// Nothing but the parent of its children.
+    /// Groups its children; has no effect of its own.
     Group,
-    /// Moves its children into the space of its parent.
+    /// Applies a local transform to everything below it.
     Transform(Transform),
-    /// Shows some of its children.
+    /// Selects which of its children are visible.
     Switch(Switch),
-    /// Shows the child that suits the distance or size at which it is seen.
+    /// Selects one child by distance or projected size (level of detail).
     Lod(Lod),
-    /// Turns its children towards the eye.
+    /// Rotates its children to face the viewpoint.
     Billboard(Billboard),
-    /// Gives all geometry below it this material. Of several on the way down, the **outermost** counts, as in OpenSG: what
-    /// stands above overrules what stands below, so that a whole part can be highlighted by one node.
+    /// Overrides the material of all geometry below it. If several apply, the **outermost** wins (as in OpenSG), so
+    /// that one node can highlight a whole subassembly.
     MaterialGroup(MaterialKey),
-    /// Shows another node with everything below it here too, without copying anything: instancing of whole subtrees,
-    /// nested as deep as one likes. The other node's own transform applies, those above it do not. It still stands where it
-    /// stands; to see only its instances, put it below a hidden node. When it is removed, this becomes a group.
+    /// Instances the subtree of another node, the target, without copying it; instances can be nested. The target's own
+    /// transform applies, its ancestors' do not. The target stays visible in its own position; to show only its
+    /// instances, put it below a hidden node. If the target is removed, this core becomes a [`Group`](Self::Group).
     Instance(NodeKey),
     /// Triangles of one material.
     Geometry {
         /// The triangles.
         geometry: GeometryKey,
-        /// What they are made of.
+        /// Their material.
         material: MaterialKey,
     },
-    /// Shines.
+    /// A light source.
     Light(Light),
-    /// Sees.
+    /// A camera.
     Camera(Camera),
 }
 
 impl Core {
-    /// The kind in one word, as error messages name it.
-    pub fn kind(&self) -> &'static str {
+    /// The kind, without the content.
+    pub fn kind(&self) -> CoreKind {
         match self {
-            Self::Group => "group",
-            Self::Transform(_) => "transform",
-            Self::Switch(_) => "switch",
-            Self::Lod(_) => "level of detail",
-            Self::Billboard(_) => "billboard",
-            Self::MaterialGroup(_) => "material group",
-            Self::Instance(_) => "instance",
-            Self::Geometry { .. } => "geometry",
-            Self::Light(_) => "light",
-            Self::Camera(_) => "camera",
+            Self::Group => CoreKind::Group,
+            Self::Transform(_) => CoreKind::Transform,
+            Self::Switch(_) => CoreKind::Switch,
+            Self::Lod(_) => CoreKind::Lod,
+            Self::Billboard(_) => CoreKind::Billboard,
+            Self::MaterialGroup(_) => CoreKind::MaterialGroup,
+            Self::Instance(_) => CoreKind::Instance,
+            Self::Geometry { .. } => CoreKind::Geometry,
+            Self::Light(_) => CoreKind::Light,
+            Self::Camera(_) => CoreKind::Camera,
         }
     }
 
-    /// The geometry that it refers to.
+    /// The geometry of a geometry core.
     pub fn geometry(&self) -> Option<GeometryKey> {
         match *self {
             Self::Geometry { geometry, .. } => Some(geometry),
@@ -63,7 +65,7 @@ impl Core {
         }
     }
 
-    /// The node that it shows here too.
+    /// The target of an instance core.
     pub fn instance_target(&self) -> Option<NodeKey> {
         match *self {
             Self::Instance(target) => Some(target),
@@ -71,7 +73,8 @@ impl Core {
         }
     }
 
-    /// The material that it refers to.
+    /// The material of a geometry core or of a material group: the core's own, before material groups above it are
+    /// applied.
     pub fn material(&self) -> Option<MaterialKey> {
         match *self {
             Self::Geometry { material, .. } | Self::MaterialGroup(material) => Some(material),
@@ -80,15 +83,65 @@ impl Core {
     }
 }
 
-/// Where a node's core comes from: a new one, or one that other nodes may share.
+/// The kind of a [`Core`]. `Display` gives its name in words: "level of detail".
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
+#[non_exhaustive]
+pub enum CoreKind {
+    /// [`Core::Group`].
+    Group,
+    /// [`Core::Transform`].
+    Transform,
+    /// [`Core::Switch`].
+    Switch,
+    /// [`Core::Lod`].
+    Lod,
+    /// [`Core::Billboard`].
+    Billboard,
+    /// [`Core::MaterialGroup`].
+    MaterialGroup,
+    /// [`Core::Instance`].
+    Instance,
+    /// [`Core::Geometry`].
+    Geometry,
+    /// [`Core::Light`].
+    Light,
+    /// [`Core::Camera`].
+    Camera,
+}
+
+impl CoreKind {
+    /// The name in words, as error messages and user interfaces show it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Group => "group",
+            Self::Transform => "transform",
+            Self::Switch => "switch",
+            Self::Lod => "level of detail",
+            Self::Billboard => "billboard",
+            Self::MaterialGroup => "material group",
+            Self::Instance => "instance",
+            Self::Geometry => "geometry",
+            Self::Light => "light",
+            Self::Camera => "camera",
+        }
+    }
+}
+
+impl fmt::Display for CoreKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+/// The core of a node: a new core, or the key of an existing one to share.
 ///
-/// Calls that take `impl Into<CoreSource>` accept a [`Core`] or what some cores consist of, as a [`Transform`] or a
-/// [`Light`] (each makes a new core), or a [`CoreKey`] (shares it).
+/// Calls that take `impl Into<CoreSource>` accept a [`Core`] or a core's content such as [`Transform`] or [`Light`]
+/// (each creates a new core), or a [`CoreKey`] (shares it).
 #[derive(Clone, Debug, PartialEq)]
 pub enum CoreSource {
-    /// A core of the node's own, until somebody shares it.
+    /// A new core, used by this node only until its key is shared.
     New(Core),
-    /// The core that this key names.
+    /// The core with this key.
     Shared(CoreKey),
 }
 
@@ -116,7 +169,7 @@ macro_rules! core_source_from {
 
 core_source_from!(Transform, Switch, Lod, Billboard, Light, Camera);
 
-/// A core as the scene stores it, with the list of its users threaded through their nodes.
+/// A core as the scene stores it, with the head of the intrusive list of the nodes that use it.
 #[derive(Debug)]
 pub(super) struct CoreSlot {
     pub(super) core: Core,

@@ -1,31 +1,31 @@
-//! Edits of cores, shared or not.
+//! Adding, replacing and editing cores.
 
 use super::changes::Change;
 use super::core::CoreSlot;
-use super::scene::stale_key_error;
 use super::value_checks::{check_core, check_transform};
-use super::{Core, CoreKey, CoreSource, NodeKey, Scene, Transform};
+use super::{Core, CoreKey, CoreKind, CoreSource, NodeKey, Scene, Transform};
+use crate::error::RootEdit;
 use crate::{Error, Result};
 
 /// Cores.
 impl Scene {
-    /// Adds a core that no node uses yet. It goes when its last user goes, not before its first came. O(1).
+    /// Adds a core without users. It is freed when its last user is removed; until it has a first user it stays. O(1).
     ///
     /// # Errors
-    /// [`Error::StaleKey`] for what it refers to; [`Error::OutOfRange`] for a bad number in it.
+    /// [`Error::StaleKey`] for a key in it; [`Error::OutOfRange`] if a number in it is out of range.
     pub fn add_core(&mut self, core: Core) -> Result<CoreKey> {
         self.insert_or_share_core(core.into())
     }
 
-    /// What the node is.
+    /// The node's core. Its kind is `scene.node_core(node)?.kind()`. O(1).
     ///
     /// # Errors
     /// [`Error::StaleKey`].
-    pub fn core(&self, node: NodeKey) -> Result<&Core> {
+    pub fn node_core(&self, node: NodeKey) -> Result<&Core> {
         Ok(&self.cores[self.node(node)?.core].core)
     }
 
-    /// The name of the node's core: give it to [`add`](Self::add) to share the core with another node.
+    /// The key of the node's core; pass it to [`add`](Self::add) to share the core. O(1).
     ///
     /// # Errors
     /// [`Error::StaleKey`].
@@ -33,11 +33,11 @@ impl Scene {
         Ok(self.node(node)?.core)
     }
 
-    /// The core that a key names.
+    /// The core with this key. O(1).
     ///
     /// # Errors
     /// [`Error::StaleKey`].
-    pub fn core_by_key(&self, key: CoreKey) -> Result<&Core> {
+    pub fn core(&self, key: CoreKey) -> Result<&Core> {
         Ok(&self.core_slot(key)?.core)
     }
 
@@ -46,15 +46,16 @@ impl Scene {
         self.cores.iter().map(|(key, slot)| (key, &slot.core))
     }
 
-    /// Gives one node another core; other users of its old one keep that. O(1).
+    /// Gives one node another core. Other nodes that shared the old core keep it. O(1).
     ///
-    /// The same key, or a new core equal to one that the node has for itself alone, changes nothing.
+    /// Does nothing if the node already has this core, or has an unshared core equal to it.
     ///
     /// # Errors
-    /// [`Error::StaleKey`] for the node or what the core refers to; [`Error::OutOfRange`] for a bad number in a new
-    /// core; [`Error::Root`] for the root and a core other than a group; [`Error::Cycle`] if the core instances the node,
-    /// or something that shows it.
-    pub fn set_core(&mut self, node: NodeKey, core: impl Into<CoreSource>) -> Result<()> {
+    /// [`Error::StaleKey`] for the node or a key in the core; [`Error::OutOfRange`] if a number in a new core is out of
+    /// range; [`Error::Root`] for the root and a core other than a group; [`Error::Cycle`] if the core instances the
+    /// node itself or one of its ancestors (through parents or instances).
+    pub fn assign_core(&mut self, node: NodeKey, core: impl Into<CoreSource>) -> Result<()> {
+        // 1. Check the new core, and whether it is the one that the node has.
         let old = self.node(node)?.core;
         let source = core.into();
         if node == self.root {
@@ -67,26 +68,29 @@ impl Scene {
         }
         match &source {
             CoreSource::New(core) => self.check_instance_cycle(node, core)?,
-            CoreSource::Shared(key) => self.check_instance_cycle(node, self.core_by_key(*key)?)?,
+            CoreSource::Shared(key) => self.check_instance_cycle(node, self.core(*key)?)?,
         }
+        // 2. Move the node from the users of the old core to those of the new one.
         let new = self.insert_or_share_core(source)?;
         self.save_prior_state(node);
-        let was = HierarchyEffects::of(&self.cores[old].core);
+        let old_effects = HierarchyEffects::of(&self.cores[old].core);
         self.unlink_user(node, old);
         self.link_user(node, new);
-        self.core_changed(node, was);
+        // 3. Report the change, and free the old core if this was its last user.
+        self.core_changed(node, old_effects);
         self.record(node, Change::CORE);
         self.release_core_if_unused(old);
         Ok(())
     }
 
-    /// Changes a core, and with it every node that uses it. O(users).
+    /// Replaces the content of a core for all nodes that use it. O(users).
     ///
     /// # Errors
-    /// [`Error::StaleKey`] for the core or what it is to refer to; [`Error::OutOfRange`] for a bad number;
-    /// [`Error::Root`] if the root uses it and it would no longer be a group; [`Error::Cycle`] if it would instance one of
-    /// its users, or something that shows one.
-    pub fn edit_core(&mut self, key: CoreKey, core: Core) -> Result<()> {
+    /// [`Error::StaleKey`] for the core or a key in the new content; [`Error::OutOfRange`] if a number in it is out of
+    /// range; [`Error::Root`] if the root uses the core and it would no longer be a group; [`Error::Cycle`] if it would
+    /// instance one of its users or of their ancestors (through parents or instances).
+    pub fn set_core(&mut self, key: CoreKey, core: Core) -> Result<()> {
+        // 1. Check the new content against all users.
         if self.core_slot(key)?.core == core {
             return Ok(());
         }
@@ -97,51 +101,79 @@ impl Scene {
         if let Core::Instance(_) = core {
             self.users(key)?.try_for_each(|user| self.check_instance_cycle(user, &core))?;
         }
+        // 2. Replace it. References are acquired before old ones are released, so that what both refer to is not freed.
         self.acquire_assets(key, &core);
         let old = self.replace_core(key, core);
         self.release_assets(key, &old);
         Ok(())
     }
 
-    /// Puts another core, whose assets count it, in the place of one, which it gives back.
+    /// Edits the content of a core for all nodes that use it: [`set_core`](Self::set_core) with a changed copy.
+    /// O(users).
+    ///
+    /// ```
+    /// use ropewalk::{Core, Scene, Switch};
+    ///
+    /// let mut scene = Scene::new();
+    /// let switch = scene.add_core(Core::Switch(Switch::All))?;
+    /// scene.edit_core(switch, |core| {
+    ///     if let Core::Switch(shown) = core {
+    ///         *shown = Switch::One(2);
+    ///     }
+    /// })?;
+    /// assert_eq!(*scene.core(switch)?, Core::Switch(Switch::One(2)));
+    /// # Ok::<(), ropewalk::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// As [`set_core`](Self::set_core).
+    pub fn edit_core(&mut self, key: CoreKey, edit: impl FnOnce(&mut Core)) -> Result<()> {
+        let mut core = self.core(key)?.clone();
+        edit(&mut core);
+        self.set_core(key, core)
+    }
+
+    /// Replaces a stored core and returns the old one. The caller has already counted the new core's asset references.
     pub(super) fn replace_core(&mut self, key: CoreKey, core: Core) -> Core {
+        // 1. Swap the content.
         self.save_prior_state(key);
         let old = std::mem::replace(&mut self.cores[key].core, core);
         let new = &self.cores[key].core;
+        // 2. Classify the change: a transform that stays one has no other data.
         let moves = matches!(old, Core::Transform(_)) || matches!(new, Core::Transform(_));
         let mut change = if moves { Change::TRANSFORM } else { Change::empty() };
-        if std::mem::discriminant(&old) != std::mem::discriminant(new) {
+        if old.kind() != new.kind() {
             change |= Change::KIND | Change::DATA;
         } else if !moves {
             change |= Change::DATA;
         }
-        let was = HierarchyEffects::of(&old);
+        // 3. Notify the hierarchy of every user.
+        let old_effects = HierarchyEffects::of(&old);
         let mut next = self.cores[key].first_user;
         while let Some(user) = next {
-            self.core_changed(user, was);
+            self.core_changed(user, old_effects);
             next = self.nodes[user].next_user;
         }
         self.record(key, change);
         old
     }
 
-    /// The transform of a transform node into its parent's space.
+    /// The local transform of a transform node: `parent_from_local`.
     ///
     /// # Errors
-    /// [`Error::StaleKey`]; [`Error::WrongCore`] if the node has no transform: move its parent, or put a transform
+    /// [`Error::StaleKey`]; [`Error::WrongCore`] if the node has no transform core: move its parent, or put a transform
     /// node above it.
     pub fn local(&self, node: NodeKey) -> Result<Transform> {
-        match *self.core(node)? {
+        match *self.node_core(node)? {
             Core::Transform(transform) => Ok(transform),
-            ref core => Err(Error::WrongCore { node: node.into(), expected: "transform", found: core.kind() }),
+            ref core => Err(Error::WrongCore { node, expected: CoreKind::Transform, found: core.kind() }),
         }
     }
 
-    /// Moves a transform node with everything below it, and with it all nodes that share its core. O(nodes that share
-    /// it).
+    /// Sets the local transform of a transform node, and of all nodes that share its core. O(nodes that share it).
     ///
     /// # Errors
-    /// As [`local`](Self::local); [`Error::OutOfRange`] if some number is not finite.
+    /// As [`local`](Self::local); [`Error::OutOfRange`] if a number in it is not finite.
     pub fn set_local(&mut self, node: NodeKey, transform: impl Into<Transform>) -> Result<()> {
         let transform = transform.into();
         if self.local(node)? != transform {
@@ -150,7 +182,7 @@ impl Scene {
         Ok(())
     }
 
-    /// Moves all users of a transform core. What [`edit_core`](Self::edit_core) does, without what it does for other cores.
+    /// Fast path of [`set_core`](Self::set_core) for transforms: no asset counts, no instance checks.
     fn edit_transform(&mut self, key: CoreKey, transform: Transform) -> Result<()> {
         let local = check_transform(&transform)?;
         self.save_prior_state(key);
@@ -165,7 +197,7 @@ impl Scene {
         Ok(())
     }
 
-    /// The key of a source, which exists afterwards.
+    /// Inserts a new core or checks a shared key; returns the key.
     pub(super) fn insert_or_share_core(&mut self, source: CoreSource) -> Result<CoreKey> {
         match source {
             CoreSource::Shared(key) => self.core_slot(key).map(|_| key),
@@ -179,7 +211,7 @@ impl Scene {
         }
     }
 
-    /// Frees a core that lost a user, if it was the last.
+    /// Frees a core that has no users left.
     pub(super) fn release_core_if_unused(&mut self, key: CoreKey) {
         if self.cores[key].user_count > 0 {
             return;
@@ -191,23 +223,23 @@ impl Scene {
         }
     }
 
-    /// Tells the hierarchy that a node's own transform, mask or visibility is another.
+    /// Marks the node's entries dirty: its local transform, mask, visibility or material group changed.
     pub(super) fn node_changed(&mut self, key: NodeKey) {
         let node = &self.nodes[key];
         self.hierarchy.node_changed(key, node, &self.cores[node.core].core);
     }
 
-    /// Tells the hierarchy that a node's core is another than it was.
-    pub(super) fn core_changed(&mut self, key: NodeKey, was: HierarchyEffects) {
+    /// Tells the hierarchy that a node's core changed; `old_effects` are the effects of the old core.
+    pub(super) fn core_changed(&mut self, key: NodeKey, old_effects: HierarchyEffects) {
         self.node_changed(key);
-        let is = HierarchyEffects::of(&self.cores[self.nodes[key].core].core);
-        if was.switch || is.switch {
+        let new_effects = HierarchyEffects::of(&self.cores[self.nodes[key].core].core);
+        if old_effects.switch || new_effects.switch {
             self.hierarchy.switch_changed(key);
         }
-        if was.instance || is.instance {
+        if old_effects.instance || new_effects.instance {
             self.hierarchy.instance_changed(key);
         }
-        if was.geometry || is.geometry {
+        if old_effects.geometry || new_effects.geometry {
             self.hierarchy.geometry_bounds_changed(key);
         }
     }
@@ -215,20 +247,21 @@ impl Scene {
     fn check_root_core(&self, source: &CoreSource) -> Result<()> {
         let core = match source {
             CoreSource::New(core) => core,
-            CoreSource::Shared(key) => self.core_by_key(*key)?,
+            CoreSource::Shared(key) => self.core(*key)?,
         };
         match core {
             Core::Group => Ok(()),
-            _ => Err(Error::Root { attempt: "given a core other than a group" }),
+            other => Err(Error::Root { attempt: RootEdit::SetCore(other.kind()) }),
         }
     }
 
+    /// Checks the keys and the numbers in a core.
     pub(super) fn check_core(&self, core: &Core) -> Result<()> {
         if let Some(geometry) = core.geometry() {
-            self.geometries.get(geometry).ok_or_else(|| stale_key_error(geometry))?;
+            self.geometries.require(geometry)?;
         }
         if let Some(material) = core.material() {
-            self.materials.get(material).ok_or_else(|| stale_key_error(material))?;
+            self.materials.require(material)?;
         }
         if let Core::Instance(target) = *core {
             self.node(target)?;
@@ -237,7 +270,7 @@ impl Scene {
     }
 }
 
-/// What a core means to others than its node.
+/// Which derived data of the hierarchy depend on a core, by its kind.
 #[derive(Clone, Copy)]
 pub(super) struct HierarchyEffects {
     switch: bool,
@@ -246,7 +279,7 @@ pub(super) struct HierarchyEffects {
 }
 
 impl HierarchyEffects {
-    /// Of a core that is not known any more.
+    /// All effects; used when the old core is no longer available.
     pub(super) const ANY: Self = Self { switch: true, instance: true, geometry: true };
 
     fn of(core: &Core) -> Self {

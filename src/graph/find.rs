@@ -1,4 +1,4 @@
-//! Finding nodes: by name, by path, by what they show.
+//! Finding nodes: by name, by path, by the geometry or material that they use.
 
 use super::{Core, GeometryKey, MaterialKey, NodeKey, Scene};
 use crate::Result;
@@ -16,9 +16,9 @@ impl Scene {
         all.filter(move |&node| *self.nodes[node].name == *name)
     }
 
-    /// The first node in preorder that is reached from `top` by a path of names: a child of the first name, a child of that of
-    /// the second, and so on; `top` itself by no names. Where siblings share a name, all of them are tried. O(children of the
-    /// nodes on the ways tried).
+    /// Follows a path of names from `top`: each name selects a child. An empty path is `top` itself. If siblings share
+    /// a name, all are tried (backtracking), and the first match in preorder is returned. O(children of the nodes
+    /// tried).
     ///
     /// ```
     /// use ropewalk::{Scene, Transform};
@@ -30,7 +30,7 @@ impl Scene {
     /// scene.set_name(hand, "hand")?;
     ///
     /// assert_eq!(scene.find_path(scene.root(), "arm/hand".split('/'))?, Some(hand));
-    /// // Names that contain the separator are segments of their own.
+    /// // A name may contain the separator: it is one segment.
     /// assert_eq!(scene.find_path(scene.root(), ["arm", "left/right"])?, None);
     /// assert_eq!(scene.path_of(hand)?.join("/"), "arm/hand");
     /// # Ok::<(), ropewalk::Error>(())
@@ -45,18 +45,20 @@ impl Scene {
     ) -> Result<Option<NodeKey>> {
         let mut candidate = self.node(top)?.first_child;
         let names: Vec<S> = names.into_iter().collect();
-        // How many names lead to the parent of the candidate.
+        // Backtracking search: `depth` names lead from `top` to `parent`, whose children are the candidates for the
+        // next name, from `candidate` on.
         let mut depth = 0;
         let mut parent = top;
         while depth < names.len() {
             match candidate {
+                // A match: descend to its children.
                 Some(node) if *self.nodes[node].name == *names[depth].as_ref() => {
                     (parent, candidate) = (node, self.nodes[node].first_child);
                     depth += 1;
                 }
                 Some(node) => candidate = self.nodes[node].next_sibling,
                 None if depth == 0 => return Ok(None),
-                // A dead end: the next one beside the parent.
+                // No candidate left: backtrack to the parent's next sibling.
                 None => {
                     let Some(above) = self.nodes[parent].parent else { return Ok(None) };
                     (parent, candidate) = (above, self.nodes[parent].next_sibling);
@@ -67,19 +69,20 @@ impl Scene {
         Ok(Some(parent))
     }
 
-    /// The names on the way from the root down to the node: the root's own is left out, the node's is last. It is what
-    /// [`find_path`](Self::find_path) follows from the root, to this node or to an earlier one of the same names. O(depth).
+    /// The names on the path from the root down to the node: the root's own is left out, the node's is last.
+    /// [`find_path`](Self::find_path) from the root with these names finds this node, or an earlier one with the same
+    /// path. O(depth).
     ///
     /// # Errors
     /// [`Error::StaleKey`](crate::Error::StaleKey).
     pub fn path_of(&self, node: NodeKey) -> Result<Vec<&str>> {
-        let way = std::iter::once(node).chain(self.ancestors(node)?);
-        let mut names: Vec<&str> = way.filter(|&node| node != self.root).map(|node| &*self.nodes[node].name).collect();
+        let path = std::iter::once(node).chain(self.ancestors(node)?);
+        let mut names: Vec<&str> = path.filter(|&node| node != self.root).map(|node| &*self.nodes[node].name).collect();
         names.reverse();
         Ok(names)
     }
 
-    /// The nodes whose core shows this geometry, in no particular order. O(cores + nodes found).
+    /// The nodes whose core uses this geometry, in no particular order. O(cores + nodes found).
     ///
     /// # Errors
     /// [`Error::StaleKey`](crate::Error::StaleKey).
@@ -88,7 +91,8 @@ impl Scene {
         Ok(self.users_of(move |core| core.geometry() == Some(key)))
     }
 
-    /// The nodes whose core names this material, material groups among them, in no particular order. O(cores + nodes found).
+    /// The nodes whose core uses this material, material groups included, in no particular order. O(cores + nodes
+    /// found).
     ///
     /// # Errors
     /// [`Error::StaleKey`](crate::Error::StaleKey).

@@ -12,42 +12,42 @@ use crate::{Error, Result};
 
 /// An indexed triangle mesh in local space.
 ///
-/// The streams are reference counted, so a clone is cheap and shares them. Every optional stream, where present, has one
-/// element a position. Triangles wind counter-clockwise seen from their front, as in glTF.
+/// The streams are reference counted, so a clone is cheap and shares them. Every optional stream, where present, has
+/// one element per position. Triangles wind counter-clockwise seen from their front, as in glTF.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Geometry {
     /// Vertex positions, local space, in the scene's unit of length. Finite.
     pub positions: Arc<[Vec3]>,
     /// Three indices into `positions` for each triangle.
     pub indices: Arc<[[u32; 3]]>,
-    /// Unit normals, local space. Without them the triangles are shaded flat.
+    /// Unit normals, local space. `None`: flat shading.
     pub normals: Option<Arc<[Vec3]>>,
     /// Texture coordinates, sets 0 and 1; (0, 0) is the upper left corner of an image.
     pub tex_coords: [Option<Arc<[Vec2]>>; 2],
     /// Linear RGBA in 0 to 1, multiplied with the material's base colour.
     pub colors: Option<Arc<[Vec4]>>,
-    /// The acceleration structure to build for it. `None` leaves that to the compiler, which goes by how often the geometry
-    /// changes: [`BlasKind::default`] for one that is new or changes now and then, a faster build for one that changes frame
-    /// after frame. An explicit choice holds whatever the geometry does.
+    /// Acceleration structure. `None`: chosen by the compiler from how often the geometry changes:
+    /// [`BlasKind::default`] for static geometry, [`Quality::Low`](super::Quality::Low) after three changes in a row
+    /// (each within 8 frames of the last). An explicit choice is never overridden.
     pub blas_kind: Option<BlasKind>,
 }
 
 impl Geometry {
-    /// The largest number of triangles in one geometry: a leaf's first primitive has 28 bits.
+    /// The largest number of triangles in one geometry, limited by the 28-bit first-primitive field of a leaf.
     pub const MAX_TRIANGLES: usize = 1 << 28;
 
-    /// A geometry of positions and triangles alone.
+    /// A geometry with positions and triangles only.
     pub fn new(positions: impl Into<Arc<[Vec3]>>, indices: impl Into<Arc<[[u32; 3]]>>) -> Self {
         Self { positions: positions.into(), indices: indices.into(), ..Self::default() }
     }
 
-    /// It with this acceleration structure, see [`structure`](Self::blas_kind).
+    /// A copy with this acceleration structure, see [`blas_kind`](Self::blas_kind).
     #[must_use]
-    pub fn with_blas_kind(self, structure: impl Into<Option<BlasKind>>) -> Self {
-        Self { blas_kind: structure.into(), ..self }
+    pub fn with_blas_kind(self, kind: impl Into<Option<BlasKind>>) -> Self {
+        Self { blas_kind: kind.into(), ..self }
     }
 
-    /// It with its vertices elsewhere; the triangles are shared. Checks what is new.
+    /// A copy with other positions (and normals) that shares all other streams; validates the new ones.
     pub(super) fn deformed(&self, positions: Arc<[Vec3]>, normals: Option<Arc<[Vec3]>>) -> Result<Self> {
         let vertex_count = self.positions.len();
         check_stream("positions", Some(&positions), vertex_count, |v| v.is_finite())?;
@@ -64,7 +64,7 @@ impl Geometry {
             .reduce(|| Aabb::EMPTY, Aabb::union)
     }
 
-    /// Whether it is equal: at once where the streams are shared.
+    /// Equality, with a pointer comparison of the streams first.
     pub(super) fn has_equal_content(&self, other: &Self) -> bool {
         fn is_shared<T>(a: Option<&Arc<[T]>>, b: Option<&Arc<[T]>>) -> bool {
             match (a, b) {
@@ -81,7 +81,8 @@ impl Geometry {
         is_shared || self == other
     }
 
-    /// Checks all that the renderer relies on: finite values, indices in range, streams of equal length. O(vertices + triangles).
+    /// Checks that all values are finite, all indices in range and all streams of equal length. O(vertices +
+    /// triangles).
     ///
     /// # Errors
     /// [`Error::InvalidGeometry`] with the array, the index and the limit.

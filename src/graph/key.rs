@@ -1,4 +1,5 @@
-//! Handles: generation-checked keys that outlive any edit.
+//! Keys of scene objects. A key carries a slot and a generation, so that a key of a removed object is detected as
+//! stale.
 
 use std::fmt;
 
@@ -6,19 +7,19 @@ use serde::{Deserialize, Serialize};
 use slotmap::Key as _;
 
 slotmap::new_key_type! {
-    /// Names a node of a scene.
+    /// Key of a node.
     pub struct NodeKey;
-    /// Names a core: what a node is. Nodes that share a core share its edits.
+    /// Key of a core, the content of one or more nodes. Editing a core affects every node that uses it.
     pub struct CoreKey;
-    /// Names a [`Geometry`](super::Geometry).
+    /// Key of a [`Geometry`](super::Geometry).
     pub struct GeometryKey;
-    /// Names a [`Material`](super::Material).
+    /// Key of a [`Material`](super::Material).
     pub struct MaterialKey;
-    /// Names a [`Texture`](super::Texture).
+    /// Key of a [`Texture`](super::Texture).
     pub struct TextureKey;
 }
 
-/// Any object of a scene, by its key.
+/// The key of any scene object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum ObjectKey {
@@ -36,21 +37,26 @@ pub enum ObjectKey {
 
 impl fmt::Display for ObjectKey {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (kind, key) = match *self {
-            Self::Node(key) => ("node", key.data()),
-            Self::Core(key) => ("core", key.data()),
-            Self::Geometry(key) => ("geometry", key.data()),
-            Self::Material(key) => ("material", key.data()),
-            Self::Texture(key) => ("texture", key.data()),
-        };
-        // slotmap writes "3v1": slot 3, version 1.
-        write!(f, "{kind} {key:?}")
+        match self {
+            Self::Node(key) => key.fmt(f),
+            Self::Core(key) => key.fmt(f),
+            Self::Geometry(key) => key.fmt(f),
+            Self::Material(key) => key.fmt(f),
+            Self::Texture(key) => key.fmt(f),
+        }
     }
 }
 
-macro_rules! object_from_key {
-    ($($key:ident => $variant:ident),* $(,)?) => {
-        $(impl From<$key> for ObjectKey {
+macro_rules! key_of {
+    ($($key:ident => $variant:ident, $kind:literal;)*) => {
+        $(impl fmt::Display for $key {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                // slotmap writes "3v1": slot 3, version 1.
+                write!(f, concat!($kind, " {:?}"), self.data())
+            }
+        }
+
+        impl From<$key> for ObjectKey {
             fn from(key: $key) -> Self {
                 Self::$variant(key)
             }
@@ -58,10 +64,10 @@ macro_rules! object_from_key {
     };
 }
 
-object_from_key! {
-    NodeKey => Node,
-    CoreKey => Core,
-    GeometryKey => Geometry,
-    MaterialKey => Material,
-    TextureKey => Texture,
+key_of! {
+    NodeKey => Node, "node";
+    CoreKey => Core, "core";
+    GeometryKey => Geometry, "geometry";
+    MaterialKey => Material, "material";
+    TextureKey => Texture, "texture";
 }

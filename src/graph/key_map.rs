@@ -1,11 +1,11 @@
-//! A map from keys to values, as fast as an array: one place a slot, whichever generation of the slot's keys is there.
+//! A map indexed by key slot, as fast as an array, with one value per slot for whichever generation was inserted last.
 
 use std::num::NonZeroU32;
 use std::ops::{Index, IndexMut};
 
 use slotmap::{Key, KeyData};
 
-/// Values by key, at most one for all generations of a slot: the one inserted last.
+/// Values by key, at most one for all generations of a slot: that of the generation inserted last.
 ///
 /// [`slotmap::SecondaryMap`] keeps the newest generation instead. That is wrong where undo brings an object back under
 /// its old key.
@@ -45,13 +45,13 @@ impl<K: Key, V> KeyMap<K, V> {
         }
     }
 
-    /// The key of which there is a value in this slot.
+    /// The key whose value is in this slot.
     pub(crate) fn key_at(&self, slot: usize) -> Option<K> {
         self.slots.get(slot)?.as_ref().map(|(generation, _)| key_of(slot, *generation))
     }
 
-    /// Puts a value in the place of the key's slot. Gives what was there, of whatever generation. Does nothing for the
-    /// null key. O(1), or O(slot) beyond the last.
+    /// Stores a value in the key's slot. Returns the key and value that were there, of whatever generation. Does
+    /// nothing for the null key. O(1), or O(slot) for a slot beyond the last one.
     pub(crate) fn insert(&mut self, key: K, value: V) -> Option<(K, V)> {
         if key.is_null() {
             return None;
@@ -71,10 +71,10 @@ impl<K: Key, V> KeyMap<K, V> {
         self.slots[slot(key)].take().map(|(_, value)| value)
     }
 
-    /// All keys with their values, by rising slot. O(slots).
+    /// All keys with their values, in ascending order of slots. O(slots).
     pub(crate) fn iter(&self) -> impl DoubleEndedIterator<Item = (K, &V)> + Clone {
-        self.slots.iter().enumerate().filter_map(|(slot, place)| {
-            let (generation, value) = place.as_ref()?;
+        self.slots.iter().enumerate().filter_map(|(slot, occupant)| {
+            let (generation, value) = occupant.as_ref()?;
             Some((key_of(slot, *generation), value))
         })
     }
@@ -102,12 +102,12 @@ impl<K: Key, V> IndexMut<K> for KeyMap<K, V> {
     }
 }
 
-/// Where a key's value lies in arrays that have one place a slot.
+/// The index of a key's value in arrays with one element per slot.
 pub(crate) fn slot<K: Key>(key: K) -> usize {
     key.data().as_ffi() as u32 as usize
 }
 
-/// How often the slot was given out when the key was made: odd, and higher each time.
+/// The generation of a key: odd, and higher for each new key of its slot.
 pub(crate) fn generation<K: Key>(key: K) -> u32 {
     (key.data().as_ffi() >> 32) as u32
 }

@@ -1,4 +1,4 @@
-//! The lists that are threaded through the nodes: the children of a node, the users of a core. Each edit is O(1).
+//! Intrusive lists: the children of a node, the users of a core. All operations are O(1).
 
 use super::{CoreKey, NodeKey, Scene};
 
@@ -8,7 +8,8 @@ impl Scene {
         self.link_child_after(node, parent, self.nodes[parent].last_child);
     }
 
-    /// Makes `node`, which has no parent, the child of `parent` that comes after `previous`: the first after none.
+    /// Makes `node`, which has no parent, the child of `parent` that comes after `previous`; `None` makes it the
+    /// first child.
     pub(super) fn link_child_after(&mut self, node: NodeKey, parent: NodeKey, previous: Option<NodeKey>) {
         let next = match previous {
             Some(previous) => self.nodes[previous].next_sibling.replace(node),
@@ -29,7 +30,7 @@ impl Scene {
     pub(super) fn unlink_child(&mut self, node: NodeKey) {
         self.save_prior_state(node);
         if let Some(next) = self.nodes[node].next_sibling {
-            // Another node is before it now.
+            // Its previous sibling, which is part of its state, changes.
             self.save_prior_state(next);
         }
         let slot = &mut self.nodes[node];

@@ -1,73 +1,74 @@
-//! Levels of detail: which child is shown depends on who looks.
+//! Level of detail: selects one child by viewpoint.
 
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-/// Shows one child of a node: the first as seen from nearby, later ones from farther away; nothing where there is no
-/// such child. Each renderer chooses for its own camera, so the graph itself does not change.
+/// Shows one child of a node: the first when near, later ones with increasing distance. If the selected child does not
+/// exist, nothing is shown. Each renderer selects for its own camera, so the graph itself does not change.
 ///
-/// `limits` separate the levels: up to the first of them the first child is shown, up to the second the second child, and
-/// beyond the last the child after it.
+/// `thresholds` separate the levels: up to the first of them the first child is shown, up to the second the second
+/// child, and beyond the last the child after it.
 ///
-/// With `hysteresis` h a level once chosen stays until the measure is past the limit by the factor 1 + h on the far side
-/// or 1 - h on the near side, so that a camera that trembles at a limit does not flicker. (What was chosen is forgotten when the
-/// flattened [hierarchy](crate::Hierarchy) is compacted.)
+/// With `hysteresis` h the current level is kept until the measure exceeds a threshold by the factor 1 + h (moving
+/// away) or falls below it by 1 - h (approaching), which prevents flicker at a threshold. (The current level is lost
+/// when the flattened [hierarchy](crate::Hierarchy) is rebuilt.)
 ///
-/// OpenSG's `DistanceLOD` and `ScreenLOD`.
+/// As OpenSG's `DistanceLOD` and `ScreenLOD`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Lod {
-    /// What is measured.
+    /// The measure that selects the level.
     pub metric: LodMetric,
-    /// What is measured from, in the node's local space: the middle of what is below it.
+    /// Reference point in the node's local space, normally the centre of the subtree.
     pub center: DVec3,
-    /// Above 0; ascending for distances, descending for sizes.
+    /// Thresholds between levels, positive: distances in ascending order, or projected sizes in descending order.
     pub thresholds: Vec<f64>,
-    /// At least 0, below 1; 0 for none.
+    /// Relative width of the band in which the current level is kept: at least 0 (none), below 1.
     pub hysteresis: f64,
 }
 
-/// What a level of detail depends on.
+/// The measure that selects a level of detail.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum LodMetric {
     /// The distance of the eye from the centre, in world units.
     Distance,
-    /// The diameter of the sphere around the centre, as a share of the image's height: 1 fills it.
+    /// The projected diameter of a sphere around the centre, as a fraction of the image height (1 = full height).
     ProjectedSize {
-        /// Radius of the sphere in the node's local space; a scale above the node grows it by its longest axis.
+        /// Radius of the sphere in the node's local space; it is scaled by the longest axis of the world matrix.
         radius: f64,
     },
 }
 
 impl Lod {
     /// Levels by distance from the node's origin, without hysteresis.
-    pub fn by_distance(limits: impl Into<Vec<f64>>) -> Self {
-        Self { metric: LodMetric::Distance, center: DVec3::ZERO, thresholds: limits.into(), hysteresis: 0.0 }
+    pub fn by_distance(thresholds: impl Into<Vec<f64>>) -> Self {
+        Self { metric: LodMetric::Distance, center: DVec3::ZERO, thresholds: thresholds.into(), hysteresis: 0.0 }
     }
 
     /// Levels by projected size of a sphere around the node's origin, without hysteresis.
-    pub fn by_projected_size(radius: f64, limits: impl Into<Vec<f64>>) -> Self {
-        Self { metric: LodMetric::ProjectedSize { radius }, ..Self::by_distance(limits) }
+    pub fn by_projected_size(radius: f64, thresholds: impl Into<Vec<f64>>) -> Self {
+        Self { metric: LodMetric::ProjectedSize { radius }, ..Self::by_distance(thresholds) }
     }
 
-    /// The level for what was measured, when `current` was shown before. O(limits).
+    /// The level for a measured distance or size, where `current` is the level shown before. O(thresholds).
     ///
     /// ```
     /// use ropewalk::Lod;
     ///
     /// let lod = Lod { hysteresis: 0.1, ..Lod::by_distance([10.0, 20.0]) };
-    /// assert_eq!(lod.level(10.5, None), 1);
-    /// assert_eq!(lod.level(10.5, Some(0)), 0);
-    /// assert_eq!(lod.level(11.5, Some(0)), 1);
-    /// assert_eq!(lod.level(9.5, Some(1)), 1);
-    /// assert_eq!(lod.level(99.0, Some(0)), 2);
+    /// assert_eq!(lod.select_level(10.5, None), 1);
+    /// assert_eq!(lod.select_level(10.5, Some(0)), 0);
+    /// assert_eq!(lod.select_level(11.5, Some(0)), 1);
+    /// assert_eq!(lod.select_level(9.5, Some(1)), 1);
+    /// assert_eq!(lod.select_level(99.0, Some(0)), 2);
     /// ```
     pub fn select_level(&self, measured: f64, current: Option<u32>) -> u32 {
-        let is_beyond = |limit: f64| match self.metric {
-            LodMetric::Distance => measured > limit,
-            LodMetric::ProjectedSize { .. } => measured < limit,
+        // The level is the number of thresholds that the measure is beyond, farther away than each.
+        let is_beyond = |threshold: f64| match self.metric {
+            LodMetric::Distance => measured > threshold,
+            LodMetric::ProjectedSize { .. } => measured < threshold,
         };
-        let passed = |i: usize| {
-            // The limits before the current level are left later on the way back, those after it later on the way out.
+        let is_passed = |i: usize| {
+            // Thresholds below the current level are relaxed for approaching, those above it for moving away.
             let (far, near) = match self.metric {
                 LodMetric::Distance => (1.0 + self.hysteresis, 1.0 - self.hysteresis),
                 LodMetric::ProjectedSize { .. } => (1.0 - self.hysteresis, 1.0 + self.hysteresis),
@@ -75,7 +76,7 @@ impl Lod {
             let factor = current.map_or(1.0, |current| if i < current as usize { near } else { far });
             is_beyond(self.thresholds[i] * factor)
         };
-        (0..self.thresholds.len()).take_while(|&i| passed(i)).count() as u32
+        (0..self.thresholds.len()).take_while(|&i| is_passed(i)).count() as u32
     }
 }
 

@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 
 use super::TextureKey;
 
-/// How a surface scatters, absorbs and emits light: glTF 2.0's metallic-roughness model with `KHR_materials_transmission`,
-/// `KHR_materials_ior` and `KHR_materials_emissive_strength`. All colours are linear.
+/// How a surface scatters, absorbs and emits light: glTF 2.0's metallic-roughness model with
+/// `KHR_materials_transmission`, `KHR_materials_ior` and `KHR_materials_emissive_strength`. All colours are linear.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Material {
     /// Linear RGBA; alpha is used as `alpha_mode` says. Each in 0 to 1.
@@ -19,16 +19,16 @@ pub struct Material {
     pub roughness: f32,
     /// Emitted radiance, linear, strength included.
     pub emissive: Vec3,
-    /// The part of non-reflected light that passes through, 0 to 1: 1 is glass. A geometry that encloses a solid bends it by
-    /// `ior`; an open one is a thin pane that does not.
+    /// Fraction of the light not reflected at the surface that is transmitted, 0 to 1 (1: glass). In a closed geometry
+    /// it refracts by `ior`; an open geometry is a thin sheet without refraction.
     pub transmission: f32,
     /// Index of refraction, 1 or more (0 means "infinite", as in glTF: a perfect reflector).
     pub ior: f32,
-    /// What alpha means.
+    /// How alpha is used.
     pub alpha_mode: AlphaMode,
-    /// Whether back faces are drawn. A transmissive surface is always two-sided to light inside it.
+    /// Whether back faces are visible. A transmissive surface is always two-sided to light inside it.
     pub double_sided: bool,
-    /// Show the base colour as it is, without light.
+    /// Output the base colour unshaded (`KHR_materials_unlit`).
     pub unlit: bool,
     /// Multiplied with `base_color`; sRGB.
     pub base_color_texture: Option<TextureRef>,
@@ -83,7 +83,7 @@ impl Material {
         Self { roughness: 0.0, transmission: 1.0, ior, ..Self::default() }
     }
 
-    /// The textures it refers to, in the order of its fields; one that is used twice comes twice.
+    /// The texture references, in the order of the fields; a texture that is used twice occurs twice.
     pub fn textures(&self) -> impl Iterator<Item = &TextureRef> {
         let all = [
             &self.base_color_texture,
@@ -96,27 +96,27 @@ impl Material {
     }
 }
 
-/// What the alpha of a material's base colour means.
+/// How the alpha of a material's base colour is used.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub enum AlphaMode {
-    /// Nothing.
+    /// Alpha is ignored; the surface is opaque.
     #[default]
     Opaque,
-    /// There is a surface where alpha is at least the cutoff, and a hole elsewhere; tested inside traversal.
+    /// The surface exists where alpha is at least the cutoff; tested inside traversal.
     Mask {
-        /// The smallest alpha that is solid.
+        /// The smallest alpha at which the surface exists.
         cutoff: f32,
     },
-    /// The surface covers what is behind it by alpha.
+    /// The surface is blended over what is behind it by alpha.
     Blend,
 }
 
-/// A texture as a material uses it.
+/// A texture reference: texture, sampler, coordinate set and UV transform.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TextureRef {
-    /// The image.
+    /// The texture.
     pub texture: TextureKey,
-    /// How it is read.
+    /// Wrap modes and filter.
     pub sampler: Sampler,
     /// The set of texture coordinates: 0 or 1.
     pub tex_coord: u32,
@@ -125,51 +125,52 @@ pub struct TextureRef {
 }
 
 impl TextureRef {
-    /// The image with bilinear filter, repeated, by texture coordinate set 0.
+    /// A reference with bilinear filter and repeat, by texture coordinate set 0.
     pub fn new(texture: TextureKey) -> Self {
         Self { texture, sampler: Sampler::default(), tex_coord: 0, transform: Affine2::IDENTITY }
     }
 }
 
-/// How a texture is read between and beyond its texels.
+/// Wrap modes and filter of a texture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Sampler {
-    /// What lies left and right of the image.
+    /// Horizontal wrap mode.
     pub wrap_u: WrapMode,
-    /// What lies above and below the image.
+    /// Vertical wrap mode.
     pub wrap_v: WrapMode,
-    /// What lies between texel centres.
+    /// Filter between texel centres.
     pub filter: FilterMode,
 }
 
-/// What lies beyond the edge of an image.
+/// How texture coordinates outside 0 to 1 are mapped to texels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum WrapMode {
-    /// The image again.
+    /// Repeat.
     #[default]
     Repeat,
-    /// The image mirrored.
+    /// Repeat, mirrored every other time.
     Mirror,
-    /// Its edge.
+    /// Clamp to edge.
     Clamp,
 }
 
-/// What lies between texel centres.
+/// Filter between texel centres.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum FilterMode {
-    /// The bilinear mix of the four nearest texels.
+    /// Bilinear interpolation of the four nearest texels.
     #[default]
     Linear,
     /// The nearest texel.
     Nearest,
 }
 
-/// An image of RGBA texels, 8 bits a channel, row by row from the top. Whether they are sRGB or linear is the material's to say.
+/// An image of RGBA texels, 8 bits per channel, row by row from the top. The material field that refers to it
+/// determines whether it is sRGB or linear.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Texture {
-    /// Texels a row; at least 1.
+    /// Width in texels; at least 1.
     pub width: u32,
-    /// Rows; at least 1.
+    /// Height in texels; at least 1.
     pub height: u32,
     /// `width * height` texels.
     pub texels: Arc<[[u8; 4]]>,

@@ -1,7 +1,10 @@
 //! The retained scene graph: nodes, cores, the change log.
 //!
-//! [`Scene`] owns everything. Its edits and getters stand in files of their own: `tree_edits` (the tree), `core_edits`,
-//! `assets`, `tree_reads`, `find`, `visit`.
+//! [`Scene`] owns everything. Its methods are grouped by file: `tree_edits` and `core_edits`, `assets` (geometries,
+//! materials, textures), `tree_reads`, `find`, `visit`, and `transfer` (undo, transactions, deltas, files, edit
+//! queues). `hierarchy` is the flattened form of the tree that the compiler reads; `changes` is the log of changes that
+//! tells it what to read again. `linked_lists` and `instance_cycles` maintain the links between nodes, cores and
+//! instance targets.
 
 mod assets;
 mod billboard;
@@ -37,7 +40,7 @@ pub use billboard::Billboard;
 pub use blas_kind::{BlasKind, Quality};
 pub use camera::Camera;
 pub use changes::{Change, ChangeCursor, Changes};
-pub use core::{Core, CoreSource};
+pub use core::{Core, CoreKind, CoreSource};
 pub use geometry::Geometry;
 pub use hierarchy::{Hierarchy, NodePath, ResolvedEntry};
 pub use key::{CoreKey, GeometryKey, MaterialKey, NodeKey, ObjectKey, TextureKey};

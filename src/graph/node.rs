@@ -1,9 +1,9 @@
-//! Nodes: the tree's joints, linked to their family and to the other users of their core.
+//! Nodes, stored with intrusive links to parent, siblings, children and the other users of their core.
 
 use super::{CoreKey, NodeKey};
 
-/// A node as the scene stores it. All lists are linked through the nodes themselves, so that every edit of them is
-/// O(1).
+/// A node as the scene stores it. Children and core users are intrusive doubly linked lists, so that insertion and
+/// removal are O(1).
 #[derive(Debug)]
 pub(super) struct Node {
     pub(super) parent: Option<NodeKey>,
@@ -20,7 +20,7 @@ pub(super) struct Node {
 }
 
 impl Node {
-    /// A node outside all lists.
+    /// A node that is not linked into any list.
     pub(super) fn new(core: CoreKey) -> Self {
         Self {
             parent: None,
@@ -38,11 +38,11 @@ impl Node {
     }
 }
 
-/// What stays as it is when a node gets another parent.
+/// Which transform of a node is preserved when it is reparented.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum KeepTransform {
-    /// Its local transform: it moves with its new parent's space.
+    /// The local transform; the world transform changes with the new parent.
     Local,
-    /// Its world transform: it stays where it is, and its local transform is adapted.
+    /// The world transform; the local transform is recomputed.
     World,
 }

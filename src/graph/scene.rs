@@ -11,21 +11,20 @@ use super::node::Node;
 use super::store::Store;
 use super::transfer::Journal;
 use super::{Core, CoreKey, GeometryKey, Material, MaterialKey, NodeKey, ObjectKey, Texture, TextureKey};
-use crate::{Error, Result};
+use crate::Result;
 
 /// A retained scene graph.
 ///
-/// A scene is a tree of nodes below one root. Each node has one parent, ordered children, one [`Core`] that says what
-/// it is, a name, a traversal mask and a visibility. Cores refer to geometries and materials, materials to textures;
-/// all of these can be shared, and live as long as somebody uses them. One that was never used stays until it has been
-/// used and released, or until [`remove_unused`](Self::remove_unused).
+/// A scene is a tree of nodes below one root. Each node has one parent, ordered children, one [`Core`] that holds its
+/// content, a name, a ray mask and a visibility. Cores refer to geometries and materials, materials to textures; all of
+/// these can be shared and are reference counted: each is freed when its last user is removed. One that never had a
+/// user stays until [`remove_unused`](Self::remove_unused).
 ///
-/// Everything is named by keys that stay valid until the object goes. A stale key is [`Error::StaleKey`]. A call that
-/// returns an error has left the scene as it was. There is nothing to commit: every getter answers from the current
-/// state.
+/// Objects are identified by keys, valid until the object is removed; a stale key is
+/// [`Error::StaleKey`](crate::Error::StaleKey). A call that returns an error leaves the scene as it was. There is no
+/// commit step: getters always reflect all edits.
 ///
-/// Not guaranteed: that a key of another scene is found out. Keys do not tell their scene, so it may name something
-/// here.
+/// Not guaranteed: that a key of another scene is detected. It may happen to refer to an object of this scene.
 ///
 /// ```
 /// use glam::{DVec3, Vec3};
@@ -40,17 +39,17 @@ use crate::{Error, Result};
 /// let hand = scene.add(arm, Core::Geometry { geometry, material })?;
 /// scene.set_name(hand, "hand")?;
 ///
-/// // A second hand shares the core of the first: this is instancing.
+/// // A second hand shares the core of the first: both show one geometry.
 /// let core = scene.core_key(hand)?;
 /// let other = scene.add(scene.root(), core)?;
 /// assert_eq!(scene.users(core)?.count(), 2);
 /// assert_eq!((scene.triangle_count(), scene.instanced_triangle_count()), (1, 2));
 ///
-/// // Reads are never stale.
+/// // Getters reflect all edits.
 /// scene.set_local(arm, Transform::from_translation(DVec3::new(5.0, 0.0, 0.0)))?;
-/// assert_eq!(scene.world(hand)?.translation, DVec3::new(5.0, 0.0, 0.0));
+/// assert_eq!(scene.world_from_local(hand)?.translation, DVec3::new(5.0, 0.0, 0.0));
 ///
-/// // What nobody uses any more is freed.
+/// // The geometry is freed with its last user.
 /// scene.remove(arm)?;
 /// scene.remove(other)?;
 /// assert!(scene.geometry(geometry).is_err());
@@ -68,14 +67,14 @@ pub struct Scene {
     pub(super) log: ChangeLog,
     pub(super) hierarchy: Hierarchy,
     pub(super) journal: Journal,
-    /// Whether what has lost its last user stays.
+    /// While set, objects without users are not freed (in `write_states`).
     pub(super) keeps_unused: bool,
     /// The cores that instance each node.
     pub(super) instancers: HashMap<NodeKey, BTreeSet<CoreKey>>,
     revision: u64,
 }
 
-/// Tells the scenes of one process apart.
+/// Identifies a scene among those of one process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct SceneId(u64);
 
@@ -112,7 +111,7 @@ impl Scene {
         scene
     }
 
-    /// Which scene this is: no two scenes of one process have the same.
+    /// The identity of this scene: no two scenes of one process have the same.
     pub fn id(&self) -> SceneId {
         self.id
     }
@@ -122,7 +121,7 @@ impl Scene {
         self.root
     }
 
-    /// Counts the changes made so far: where it is what it was, the scene is what it was.
+    /// Number of changes made so far. At two equal revisions a scene has equal content.
     pub fn revision(&self) -> u64 {
         self.revision
     }
@@ -152,12 +151,14 @@ impl Scene {
         self.textures.len()
     }
 
-    /// Triangles stored: those of each geometry once. O(geometries).
+    /// Number of triangles over all geometries, each counted once. O(geometries).
     pub fn triangle_count(&self) -> u64 {
         self.geometries.values().map(|used| used.value.geometry.indices.len() as u64).sum()
     }
 
-    /// Triangles seen: those of each geometry once for every node that shows it, visible or not. O(cores).
+    /// Number of triangles with each geometry counted once per node that uses it, visible or not; subtrees under
+    /// [`Core::Instance`] are not multiplied, unlike in
+    /// [`CompileReport::instanced_triangles`](crate::compile::CompileReport::instanced_triangles). O(cores).
     pub fn instanced_triangle_count(&self) -> u64 {
         let triangles = |slot: &CoreSlot| match slot.core {
             Core::Geometry { geometry, .. } => self.geometries[geometry].value.geometry.indices.len() as u64,
@@ -172,14 +173,14 @@ impl Scene {
         ChangeCursor::default()
     }
 
-    /// What has changed since the last read with this cursor, each object once; moves the cursor to now.
+    /// Changes since the last read with this cursor, merged per object; advances the cursor.
     ///
     /// A cursor that has not read from this scene before gets [`Changes::Everything`] and belongs to this scene from
-    /// then on, so that a consumer needs no care when it is given another scene. O(changes since), of which one
-    /// object's many count once; O(nodes + cores) the first time.
+    /// then on, so a consumer can be given another scene at any time. O(objects changed since); O(nodes + cores) the
+    /// first time.
     ///
     /// ```
-    /// use ropewalk::{Change, Changes, Core, Object, Scene};
+    /// use ropewalk::{Change, Changes, ObjectKey, Scene};
     ///
     /// let mut scene = Scene::new();
     /// let mut cursor = scene.subscribe();
@@ -187,7 +188,7 @@ impl Scene {
     ///
     /// scene.set_name(scene.root(), "world")?;
     /// scene.set_mask(scene.root(), 1)?;
-    /// let expected = vec![(Object::Node(scene.root()), Change::NAME | Change::MASK)];
+    /// let expected = vec![(ObjectKey::Node(scene.root()), Change::NAME | Change::MASK)];
     /// assert_eq!(scene.changes_since(&mut cursor), Changes::Since(expected));
     /// assert_eq!(scene.changes_since(&mut cursor), Changes::Since(vec![]));
     /// # Ok::<(), ropewalk::Error>(())
@@ -195,22 +196,23 @@ impl Scene {
     pub fn changes_since(&mut self, cursor: &mut ChangeCursor) -> Changes {
         let changes = self.log.read(self.id, cursor);
         if changes == Changes::Everything {
-            // Not at the first edit, which may be a small one.
+            // Allocate now: the first edit should not pay for it.
             self.log.reserve(self.nodes.keys().last(), self.cores.keys().last());
         }
         changes
     }
 
-    /// Brings the flattened arrays up to date and gives them out. O(1) where nothing changed, else O(what changed) with
-    /// all below it, amortised.
+    /// The flattened hierarchy, brought up to date. O(1) if nothing changed, else O(nodes changed and all below them),
+    /// amortised.
     ///
     /// # Errors
-    /// [`Error::Limit`] if instances of instances make more than [`Hierarchy::MAX_INSTANCED`] entries.
+    /// [`Error::Limit`](crate::Error::Limit) if instances of instances make more than [`Hierarchy::MAX_INSTANCED`]
+    /// entries.
     pub fn hierarchy(&mut self) -> Result<&Hierarchy> {
         Ok(self.with_hierarchy()?.1)
     }
 
-    /// As [`hierarchy`](Self::hierarchy), together with the scene that it describes.
+    /// As [`hierarchy`](Self::hierarchy), with the scene itself for reading beside it.
     ///
     /// # Errors
     /// As [`hierarchy`](Self::hierarchy).
@@ -220,14 +222,14 @@ impl Scene {
         Ok((self, &self.hierarchy))
     }
 
-    /// The hierarchy, and what it shows.
+    /// The hierarchy, for an update, and the objects that it is built from.
     pub(super) fn hierarchy_and_stores(&mut self) -> (&mut Hierarchy, SceneStores<'_>) {
         let Self { root, nodes, cores, geometries, instancers, .. } = self;
         let has_instances = !instancers.is_empty();
         (&mut self.hierarchy, SceneStores { root: *root, nodes, cores, geometries, has_instances })
     }
 
-    /// What a hierarchy shows.
+    /// The objects that a hierarchy is built from.
     pub(super) fn stores(&self) -> SceneStores<'_> {
         let has_instances = !self.instancers.is_empty();
         SceneStores {
@@ -239,7 +241,7 @@ impl Scene {
         }
     }
 
-    /// Counts and logs one change.
+    /// Counts and logs one change, after it was made.
     pub(super) fn record(&mut self, object: impl Into<ObjectKey>, change: Change) {
         let object = object.into();
         self.revision += 1;
@@ -252,14 +254,10 @@ impl Scene {
     }
 
     pub(super) fn node(&self, key: NodeKey) -> Result<&Node> {
-        self.nodes.get(key).ok_or_else(|| stale_key_error(key))
+        self.nodes.require(key)
     }
 
     pub(super) fn core_slot(&self, key: CoreKey) -> Result<&CoreSlot> {
-        self.cores.get(key).ok_or_else(|| stale_key_error(key))
+        self.cores.require(key)
     }
-}
-
-pub(super) fn stale_key_error(object: impl Into<ObjectKey>) -> Error {
-    Error::StaleKey { object: object.into() }
 }

@@ -1,25 +1,27 @@
-//! The scene's storage: objects by generation-checked keys, which can also come back under the keys they had.
+//! Slot map with generation-checked keys that can restore a removed object under its old key (undo, deltas).
 
 use std::ops::{Index, IndexMut};
 
 use slotmap::{Key, KeyData};
 
+use super::ObjectKey;
 use super::key_map::{KeyMap, generation, slot};
+use crate::{Error, Result};
 
-/// As [`slotmap::SlotMap`], with [`insert_at`](Self::insert_at). A key that was ever given out, to an object that is
-/// gone or not, is never given out again.
+/// As [`slotmap::SlotMap`], with [`insert_at`](Self::insert_at). No key is ever issued twice.
 #[derive(Debug)]
 pub(super) struct Store<K, V> {
     values: KeyMap<K, V>,
-    /// By slot: the highest generation ever in it, 0 for none. The first slot is never used.
+    /// By slot: the highest generation of any key that had it, 0 for none. Slot 0 is never used.
     generations: Vec<u32>,
-    /// Every vacant slot that can be used, and some that are in use again.
+    /// Free list. May contain slots that were filled by [`insert_at`](Self::insert_at) meanwhile; they are skipped when
+    /// popped.
     free: Vec<u32>,
-    /// By slot: whether it is among `free`.
+    /// By slot: whether `free` contains it.
     is_in_free_list: Vec<bool>,
 }
 
-/// Generations are odd. A slot that has had the last one is never used again.
+/// Generations are odd. A slot whose generation reached the maximum is retired.
 const LAST_GENERATION: u32 = u32::MAX;
 
 impl<K: Key, V> Store<K, V> {
@@ -58,6 +60,14 @@ impl<K: Key, V> Store<K, V> {
         self.values.get(key)
     }
 
+    /// As [`get`](Self::get), with [`Error::StaleKey`] where the key is stale.
+    pub(super) fn require(&self, key: K) -> Result<&V>
+    where
+        K: Into<ObjectKey>,
+    {
+        self.get(key).ok_or_else(|| Error::StaleKey { object: key.into() })
+    }
+
     pub(super) fn contains_key(&self, key: K) -> bool {
         self.values.contains_key(key)
     }
@@ -84,13 +94,12 @@ impl<K: Key, V> Store<K, V> {
         self.iter().map(|(_, value)| value)
     }
 
-    /// By slot: the highest generation ever in it.
+    /// By slot: the highest generation of any key that had it, 0 for none.
     pub(super) fn generations(&self) -> &[u32] {
         &self.generations
     }
 
-    /// Takes the generations of another store as having been in this one, so that their keys are not given out here.
-    /// O(slots).
+    /// Raises the generations to at least those of another store, so that its keys are never issued here. O(slots).
     pub(super) fn raise_generations(&mut self, generations: &[u32]) {
         self.add_slots(generations.len());
         for (own, &other) in self.generations.iter_mut().zip(generations) {
@@ -99,7 +108,9 @@ impl<K: Key, V> Store<K, V> {
         }
     }
 
+    /// A slot that is vacant and not retired: one of the free list, else a new one.
     fn take_free_slot(&mut self) -> usize {
+        // Pop free slots, skipping those that were filled meanwhile and those whose generations are used up.
         while let Some(slot) = self.free.pop() {
             let slot = slot as usize;
             self.is_in_free_list[slot] = false;
@@ -112,7 +123,7 @@ impl<K: Key, V> Store<K, V> {
         self.generations.len() - 1
     }
 
-    /// Makes that there are `count` slots; the new ones are free, the lowest to be used first.
+    /// Extends the slots to `count`. The new ones are free; the lowest is used first.
     fn add_slots(&mut self, count: usize) {
         let old_count = self.generations.len();
         if count > old_count {
@@ -175,7 +186,8 @@ mod tests {
                     _ => {}
                 }
                 prop_assert!(issued.iter().all(|&key| store.get(key) == model.get(&key)));
-                prop_assert_eq!(store.iter().map(|(key, &value)| (key, value)).collect::<HashMap<_, _>>(), model.clone());
+                let stored: HashMap<_, _> = store.iter().map(|(key, &value)| (key, value)).collect();
+                prop_assert_eq!(stored, model.clone());
                 prop_assert_eq!(store.len(), model.len());
                 prop_assert!(store.free.len() < store.generations.len(), "a slot is listed once");
             }

@@ -1,13 +1,13 @@
-//! Which children of a node are shown.
+//! Switches: select which children of a node are visible.
 
 use std::collections::BTreeSet;
 
 use serde::{Deserialize, Serialize};
 
 /// Shows some children of a node with everything below them, and hides the others: states of a machine, variants of a
-/// product. Children are counted from 0 in their order; a number without a child shows nothing.
+/// product. Children are indexed from 0 in their order; indices without a child are ignored.
 ///
-/// OpenSG's `Switch`, with any set beside none, one and all.
+/// As OpenSG's `Switch`, which has none, one and all but not arbitrary sets.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Switch {
     /// No child.
@@ -22,7 +22,7 @@ pub enum Switch {
 }
 
 impl Switch {
-    /// Whether the child at this place is shown. O(log n) of the set.
+    /// Whether the child with this index is shown. O(log n) of the set.
     pub fn shows(&self, child: u32) -> bool {
         match self {
             Self::None => false,

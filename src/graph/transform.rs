@@ -3,7 +3,7 @@
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
-/// The transform of a node's children and core into the space of its parent.
+/// Local transform: `parent_from_local`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Transform {
     /// Scale, then rotate, then translate.
@@ -26,7 +26,7 @@ pub enum Transform {
         scale: DVec3,
         /// Unit quaternion that turns the axes of the scale.
         scale_rotation: DQuat,
-        /// The point that rotation and scale leave where it is.
+        /// Centre of rotation and scale, in local space.
         pivot: DVec3,
     },
     /// Any affine matrix.
@@ -40,26 +40,26 @@ impl Default for Transform {
 }
 
 impl Transform {
-    /// Leaves everything where it is.
+    /// The identity.
     pub const IDENTITY: Self = Self::Trs { translation: DVec3::ZERO, rotation: DQuat::IDENTITY, scale: DVec3::ONE };
 
-    /// Moves by `translation`.
+    /// A translation.
     pub fn from_translation(translation: DVec3) -> Self {
         Self::Trs { translation, rotation: DQuat::IDENTITY, scale: DVec3::ONE }
     }
 
-    /// Rotates by the unit quaternion `rotation`.
+    /// A rotation by a unit quaternion.
     pub fn from_rotation(rotation: DQuat) -> Self {
         Self::Trs { translation: DVec3::ZERO, rotation, scale: DVec3::ONE }
     }
 
-    /// Scales along the axes.
+    /// A scale along the axes.
     pub fn from_scale(scale: DVec3) -> Self {
         Self::Trs { translation: DVec3::ZERO, rotation: DQuat::IDENTITY, scale }
     }
 
-    /// Stands at `eye` and looks along -Z at `target`, with +Y towards `up`: the pose of a camera or a light.
-    /// Where `up` is parallel to the direction of view, any perpendicular is taken.
+    /// The pose of a camera or light at `eye`, with -Z towards `target` and +Y as close to `up` as possible. If `up` is
+    /// parallel to the view direction, an arbitrary perpendicular is used.
     pub fn looking_at(eye: DVec3, target: DVec3, up: DVec3) -> Self {
         let back = (eye - target).try_normalize().unwrap_or(DVec3::Z);
         let right = up.cross(back).try_normalize().unwrap_or_else(|| back.any_orthonormal_vector());
@@ -67,7 +67,7 @@ impl Transform {
         Self::Trs { translation: eye, rotation, scale: DVec3::ONE }
     }
 
-    /// The same with this rotation (a unit quaternion); a shear, which only a matrix can have, is lost.
+    /// A copy with another rotation (unit quaternion). A matrix is decomposed first; its shear is lost.
     #[must_use]
     pub fn with_rotation(self, rotation: DQuat) -> Self {
         if let Self::Pivoted { translation, scale, scale_rotation, pivot, .. } = self {
@@ -77,7 +77,7 @@ impl Transform {
         Self::Trs { translation, rotation, scale }
     }
 
-    /// The same at this place.
+    /// A copy with another translation.
     #[must_use]
     pub fn with_translation(self, translation: DVec3) -> Self {
         match self {
@@ -147,7 +147,7 @@ mod tests {
         let parts = |rotation| Transform::Trs { translation: DVec3::X, rotation, scale: DVec3::new(1.0, 2.0, -3.0) };
         assert_eq!(parts(other).with_rotation(turn), parts(turn));
         let matrix = Transform::Matrix(parts(other).to_affine()).with_rotation(turn).to_affine();
-        // A mirrored matrix may give its sign to another axis: what the transform keeps is its handedness and its place.
+        // A mirrored matrix may give its sign to another axis: the transform keeps its handedness and its translation.
         assert!(matrix.matrix3.determinant() < 0.0);
         assert_eq!(matrix.translation, DVec3::X);
         assert_eq!(parts(turn).with_translation(DVec3::Y).to_affine().translation, DVec3::Y);

@@ -1,10 +1,11 @@
-//! Edits of the tree: add, remove, reparent; and what every node has: name, mask, visibility.
+//! Tree edits: add, remove, reparent; and node properties: name, mask, visibility.
 
 use glam::{DAffine3, DVec3};
 
 use super::changes::Change;
 use super::node::Node;
 use super::{Core, CoreSource, KeepTransform, NodeKey, Scene, Transform};
+use crate::error::RootEdit;
 use crate::{Error, Result};
 
 /// The tree.
@@ -12,8 +13,9 @@ impl Scene {
     /// Adds a node as the last child of `parent`: visible, with all bits of its mask set and an empty name. O(1).
     ///
     /// # Errors
-    /// [`Error::StaleKey`] for the parent or what the core refers to; [`Error::OutOfRange`] for a bad number in a new
-    /// core; [`Error::Cycle`] if the core instances the parent, or something that shows it.
+    /// [`Error::StaleKey`] for the parent or a key in the core; [`Error::OutOfRange`] if a number in a new core is out
+    /// of range; [`Error::Cycle`] if the core instances the parent or one of its ancestors (through parents or
+    /// instances).
     pub fn add(&mut self, parent: NodeKey, core: impl Into<CoreSource>) -> Result<NodeKey> {
         self.node(parent)?;
         let source = core.into();
@@ -21,7 +23,7 @@ impl Scene {
             self.check_core(core)?;
             self.check_instance_cycle(parent, core)?;
         } else if let CoreSource::Shared(key) = source {
-            self.check_instance_cycle(parent, self.core_by_key(key)?)?;
+            self.check_instance_cycle(parent, self.core(key)?)?;
         }
         let core = self.insert_or_share_core(source)?;
         let node = self.nodes.insert(Node::new(core));
@@ -34,25 +36,27 @@ impl Scene {
     }
 
     /// Removes a node and everything below it, and frees the cores, geometries, materials and textures that only these
-    /// used. Instances of what is removed become groups. O(nodes removed).
+    /// used. Instance cores whose target is removed become groups. O(nodes removed).
     ///
     /// # Errors
     /// [`Error::StaleKey`]; [`Error::Root`] for the root.
     pub fn remove(&mut self, node: NodeKey) -> Result<()> {
         self.node(node)?;
         if node == self.root {
-            return Err(Error::Root { attempt: "removed" });
+            return Err(Error::Root { attempt: RootEdit::Remove });
         }
+        // 1. Replace the instance cores that show a removed node.
         if !self.instancers.is_empty() {
             let nodes: Vec<NodeKey> = self.subtree(node)?.collect();
             nodes.into_iter().try_for_each(|node| self.replace_instances_by_groups(node))?;
         }
+        // 2. Take the subtree out of the hierarchy and out of the children of its parent.
         self.hierarchy.subtree_removed(node);
         let parent = self.nodes[node].parent;
         self.unlink_child(node);
         parent.into_iter().for_each(|parent| self.children_changed(parent));
 
-        // Bottom up, so that a node's links are there as long as they are needed.
+        // 3. Free the subtree in postorder, so that links are valid while they are followed.
         let mut current = self.first_leaf(node);
         loop {
             let (parent, next) = (self.nodes[current].parent, self.nodes[current].next_sibling);
@@ -68,32 +72,34 @@ impl Scene {
         }
     }
 
-    /// Makes `node` the last child of `parent`, with everything below it. Its current parent changes nothing, its
-    /// place among its siblings included. O(depth), to find cycles; O(all that shows it) where something
-    /// is instanced.
+    /// Makes `node` the last child of `parent`, with everything below it. If `parent` already is its parent, the
+    /// sibling order is unchanged. O(depth) for the cycle check, or O(ancestors through all instances) if the scene has
+    /// instances.
     ///
-    /// With [`KeepTransform::World`] the node gets the local transform that leaves its world transform as it is, up to
-    /// rounding, as a matrix. Where others share its transform core, it gets one of its own first, and the others stay
-    /// where they are.
+    /// With [`KeepTransform::World`] the node gets a [`Transform::Matrix`] that preserves its world transform up to
+    /// rounding. If its transform core is shared, the node first gets a copy, so that other users do not move.
     ///
     /// # Errors
     /// [`Error::StaleKey`]; [`Error::Root`] for the root; [`Error::Cycle`] if `parent` is `node`, or below it, or shown
-    /// by an instance below it. With
-    /// [`KeepTransform::World`] also [`Error::WrongCore`] if the node has no transform, and [`Error::Singular`] if the new
-    /// parent's world transform cannot be inverted: some scale above it is 0, or too large or small for f64.
+    /// by an instance below it. With [`KeepTransform::World`] also [`Error::WrongCore`] if the node has no transform
+    /// core, and [`Error::Singular`] if the new parent's world matrix cannot be inverted: some scale above it is 0, or
+    /// too large or small for f64.
     pub fn reparent(&mut self, node: NodeKey, parent: NodeKey, keep: KeepTransform) -> Result<()> {
+        // 1. Check that the node may move there.
         self.node(node)?;
         self.node(parent)?;
         if node == self.root {
-            return Err(Error::Root { attempt: "moved" });
+            return Err(Error::Root { attempt: RootEdit::Move });
         }
         if self.is_ancestor_or_self(node, parent) {
-            return Err(Error::Cycle { node: node.into(), parent: parent.into() });
+            return Err(Error::Cycle { node, parent });
         }
+        // 2. Compute the local transform that preserves the world transform, while the old one is known.
         let local = match keep {
             KeepTransform::Local => None,
             KeepTransform::World => self.local_transform_under(node, parent)?,
         };
+        // 3. Link the node to its new parent.
         let old_parent = self.nodes[node].parent;
         if old_parent != Some(parent) {
             self.unlink_child(node);
@@ -102,13 +108,14 @@ impl Scene {
             self.record(node, Change::PARENT);
             old_parent.into_iter().chain([parent]).for_each(|parent| self.children_changed(parent));
         }
+        // 4. Set its local transform.
         match local {
             None => Ok(()),
-            Some(local) => self.set_own_local(node, local),
+            Some(local) => self.set_unshared_transform(node, local),
         }
     }
 
-    /// The local transform with which `node` would be below `parent` where it is now; `None` for the one it has.
+    /// The local transform that preserves the world transform of `node` below `parent`; `None` if it is unchanged.
     fn local_transform_under(&self, node: NodeKey, parent: NodeKey) -> Result<Option<Transform>> {
         self.local(node)?;
         let old_parent_world = self.world_from_parent(node)?;
@@ -121,7 +128,7 @@ impl Scene {
         if preserves_world(&parent_world, &local, &world) {
             Ok(Some(Transform::Matrix(local)))
         } else {
-            Err(Error::Singular { node: parent.into() })
+            Err(Error::Singular { node, parent })
         }
     }
 
@@ -133,7 +140,7 @@ impl Scene {
         Ok(&self.node(node)?.name)
     }
 
-    /// Names a node. Names need not be unique.
+    /// Sets the name of a node. Names need not be unique.
     ///
     /// # Errors
     /// [`Error::StaleKey`].
@@ -147,8 +154,8 @@ impl Scene {
         Ok(())
     }
 
-    /// The node's own traversal mask. Rays see what is below it if they share a bit with it and with all masks above
-    /// it.
+    /// The node's own ray mask. A ray can hit geometry below the node only if its mask has a bit in common with the AND
+    /// of the masks from the root to the geometry.
     ///
     /// # Errors
     /// [`Error::StaleKey`].
@@ -156,7 +163,7 @@ impl Scene {
         Ok(self.node(node)?.mask)
     }
 
-    /// Sets the node's own traversal mask.
+    /// Sets the node's own ray mask.
     ///
     /// # Errors
     /// [`Error::StaleKey`].
@@ -170,7 +177,7 @@ impl Scene {
         Ok(())
     }
 
-    /// Whether the node itself is shown. It is seen only if everything above it is shown too.
+    /// The node's own visibility. A node is visible in the scene only if all nodes above it are visible too.
     ///
     /// # Errors
     /// [`Error::StaleKey`].
@@ -192,17 +199,17 @@ impl Scene {
         Ok(())
     }
 
-    /// Sets the transform of this node only: a core that others share is replaced by one of its own, if it differs.
-    fn set_own_local(&mut self, node: NodeKey, local: Transform) -> Result<()> {
+    /// Sets the local transform of this node only: if it shares its core, it gets a core of its own.
+    fn set_unshared_transform(&mut self, node: NodeKey, local: Transform) -> Result<()> {
         let slot = &self.cores[self.nodes[node].core];
         if slot.user_count > 1 && slot.core != Core::Transform(local) {
-            self.set_core(node, Core::Transform(local))
+            self.assign_core(node, Core::Transform(local))
         } else {
             self.set_local(node, local)
         }
     }
 
-    /// Notes that a child came, went or changed places.
+    /// Records that the children of `parent` changed.
     pub(super) fn children_changed(&mut self, parent: NodeKey) {
         if matches!(self.cores[self.nodes[parent].core].core, Core::Switch(_)) {
             self.hierarchy.switch_changed(parent);
@@ -210,7 +217,7 @@ impl Scene {
         self.record(parent, Change::CHILDREN);
     }
 
-    /// The first node without children below `node`, going down by first children.
+    /// The node without children that is reached from `node` by first children.
     fn first_leaf(&self, mut node: NodeKey) -> NodeKey {
         while let Some(child) = self.nodes[node].first_child {
             node = child;
@@ -229,19 +236,19 @@ impl Scene {
     }
 }
 
-/// Whether `parent * local` is `world` up to rounding: each axis relative to its own length, the place relative to its
-/// distance.
+/// Whether `parent * local` is `world` up to rounding: each axis relative to its own length, the translation relative
+/// to its length.
 fn preserves_world(parent: &DAffine3, local: &DAffine3, world: &DAffine3) -> bool {
-    /// Far above rounding, far below what can be seen.
+    /// Well above f64 rounding, well below a visible error.
     const TOLERANCE: f64 = 1e-6;
 
     let result = *parent * *local;
     let close = |a: DVec3, b: DVec3, extent: f64| (a - b).abs().max_element() <= TOLERANCE * extent;
-    let axis_kept = |i| {
+    let preserves_axis = |i| {
         let axis = world.matrix3.col(i);
         close(result.matrix3.col(i), axis, axis.abs().max_element())
     };
     let extent = world.translation.abs().max_element().max(parent.translation.abs().max_element());
     let finite = [local, world, &result].into_iter().all(DAffine3::is_finite);
-    finite && (0..3).all(axis_kept) && close(result.translation, world.translation, extent)
+    finite && (0..3).all(preserves_axis) && close(result.translation, world.translation, extent)
 }

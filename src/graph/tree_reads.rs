@@ -1,4 +1,4 @@
-//! Reads of the tree: family, world transforms, bounds. None of them recurses, and none is ever stale.
+//! Read access to the tree: parents, children, world transforms, bounds. All iterative.
 
 use glam::DAffine3;
 
@@ -8,7 +8,7 @@ use crate::math::Bounds;
 
 /// Reading the tree.
 impl Scene {
-    /// Whether the scene has this node.
+    /// Whether the key is that of a node of this scene.
     pub fn contains(&self, node: NodeKey) -> bool {
         self.nodes.contains_key(node)
     }
@@ -54,28 +54,28 @@ impl Scene {
         Ok(Users { scene: self, next: self.core_slot(core)?.first_user })
     }
 
-    /// `world_from_local`: the product of the transforms from the root down to the node, its own included. O(depth),
-    /// or O(1) while the [`hierarchy`](Self::hierarchy) is up to date; the result is the same, bit for bit. Not finite
-    /// where the product overflows.
+    /// World matrix `world_from_local`: the product of the transforms from the root down to the node, its own included.
+    /// O(depth), or O(1) while the [`hierarchy`](Self::hierarchy) is up to date; the result is the same, bit for bit.
+    /// Not finite if the product overflows f64.
     ///
     /// # Errors
     /// [`Error::StaleKey`](crate::Error::StaleKey).
     pub fn world_from_local(&self, node: NodeKey) -> Result<DAffine3> {
-        let own = self.core(node)?;
+        let core = self.node_core(node)?;
         if self.hierarchy.is_up_to_date()
             && let Some(entry) = self.hierarchy.entry(node)
         {
             return Ok(self.hierarchy.resolved()[entry].world_from_local);
         }
-        let above = self.ancestors(node)?.map(|ancestor| &self.cores[self.nodes[ancestor].core].core);
-        let locals: Vec<_> = std::iter::once(own).chain(above).filter_map(local_affine).collect();
+        let ancestors = self.ancestors(node)?.map(|ancestor| &self.cores[self.nodes[ancestor].core].core);
+        let locals: Vec<_> = std::iter::once(core).chain(ancestors).filter_map(local_affine).collect();
         Ok(locals.into_iter().rev().fold(DAffine3::IDENTITY, |world, local| world * local))
     }
 
-    /// The world space box around the boxes of all geometry at and below the node, shown or not, instances included.
-    /// Empty without any. O(what changed since the last such call + log n), O(nodes) the first time.
+    /// The world-space box around all geometry at and below the node, including hidden geometry and instances. Empty if
+    /// there is no geometry. O(entries changed since the last such call + log n), O(nodes) the first time.
     ///
-    /// It holds all triangles, and is tight unless geometry is rotated: then it bounds the rotated boxes.
+    /// Conservative: rotated geometry is bounded by the box of its rotated local box.
     ///
     /// # Errors
     /// [`Error::StaleKey`](crate::Error::StaleKey); as [`hierarchy`](Self::hierarchy).
@@ -87,7 +87,7 @@ impl Scene {
         Ok(entry.map_or(Bounds::EMPTY, |entry| hierarchy.world_bounds(tree, entry)))
     }
 
-    /// The world transform that a node's own transform is applied to.
+    /// World matrix of the parent; the identity for the root.
     pub(super) fn world_from_parent(&self, node: NodeKey) -> Result<DAffine3> {
         self.parent(node)?.map_or(Ok(DAffine3::IDENTITY), |parent| self.world_from_local(parent))
     }
@@ -160,7 +160,7 @@ pub struct Subtree<'a> {
 }
 
 impl Subtree<'_> {
-    /// The node after `node` in preorder, not counting what is below it.
+    /// The next node in preorder that is not below `node`.
     fn after(&self, mut node: NodeKey) -> Option<NodeKey> {
         while node != self.top {
             let slot = &self.scene.nodes[node];

@@ -1,4 +1,4 @@
-//! The scene's own check of itself.
+//! Validation of the scene's invariants.
 
 use slotmap::Key;
 
@@ -7,15 +7,15 @@ use super::node::Node;
 use super::store::Store;
 use super::value_checks::{check_core, check_material, check_texture};
 use super::{Core, NodeKey, ObjectKey, Scene};
+use crate::error::require_invariant;
 use crate::{Error, Result};
 
 impl Scene {
-    /// Checks all that must hold whatever was called: links, users, counts, values, the log, and the hierarchy where
-    /// it is up to date. O(everything). For tests: no call breaks it.
+    /// Checks every internal invariant: links, user counts, values, the change log, and the flattened hierarchy if it
+    /// is up to date. O(scene). For tests; no sequence of calls should make it fail.
     ///
     /// # Errors
-    /// [`Error::Defect`] with the first object that is wrong; what a setter would have said of a value that should not
-    /// be there.
+    /// [`Error::Defect`] with the first object that is wrong; the error of the setter for a value that is not allowed.
     pub fn validate(&self) -> Result<()> {
         self.validate_tree()?;
         self.validate_cores()?;
@@ -24,7 +24,7 @@ impl Scene {
         if self.hierarchy.is_up_to_date() { self.hierarchy.validate(self.stores()) } else { Ok(()) }
     }
 
-    /// Every link has its counterpart, and the links lead to every node once.
+    /// Checks that every link has its counterpart, and that the links lead to every node once.
     fn validate_tree(&self) -> Result<()> {
         for (key, node) in self.nodes.iter() {
             require_invariant(node.parent.is_none() == (key == self.root), key, "only the root has no parent")?;
@@ -32,7 +32,7 @@ impl Scene {
             require_invariant(
                 links.iter().flatten().all(|&link| self.contains(link)),
                 key,
-                "a link leads out of the scene",
+                "one of its links is a stale key",
             )?;
 
             let family = |link: Option<NodeKey>| link.map(|link| &self.nodes[link]);
@@ -47,12 +47,12 @@ impl Scene {
             require_invariant(next_fits, key, "its next sibling is not linked to it")?;
         }
         let reached = self.subtree(self.root)?.take(self.nodes.len() + 1).count();
-        require_invariant(reached == self.nodes.len(), self.root, "some nodes are not below it, or are there twice")
+        require_invariant(reached == self.nodes.len(), self.root, "some nodes are not below it, or are below it twice")
     }
 
-    /// Every node is among the users of its core, and nobody else.
+    /// Checks that the users of each core are the nodes that have it, and that no core instances a node above it.
     fn validate_cores(&self) -> Result<()> {
-        require_invariant(*self.core(self.root)? == Core::Group, self.root, "the root is not a group")?;
+        require_invariant(*self.node_core(self.root)? == Core::Group, self.root, "the root is not a group")?;
         let is_user = |node: &Node, previous, core| node.core == core && node.previous_user == previous;
         let mut user_count = 0;
         for (key, slot) in self.cores.iter() {
@@ -69,15 +69,15 @@ impl Scene {
             if let Core::Instance(target) = slot.core {
                 self.node(target)?;
                 let known = self.instancers.get(&target).is_some_and(|cores| cores.contains(&key));
-                require_invariant(known, key, "nobody knows what it instances")?;
+                require_invariant(known, key, "it is not registered with the target that it instances")?;
                 let shows_itself = self.users(key)?.any(|user| self.is_ancestor_or_self(target, user));
-                require_invariant(!shows_itself, key, "it shows itself")?;
+                require_invariant(!shows_itself, key, "it instances itself or an ancestor")?;
             }
         }
         require_invariant(user_count == self.nodes.len(), self.root, "some nodes are not users of their cores")
     }
 
-    /// Every count is the number of references that there are, and every value is allowed.
+    /// Checks that every count is the number of references, and that every value is allowed.
     fn validate_assets(&self) -> Result<()> {
         let cores = || self.cores.values().map(|slot| &slot.core);
         validate_counts(&self.geometries, cores().filter_map(Core::geometry))?;
@@ -91,7 +91,7 @@ impl Scene {
     }
 }
 
-/// Whether each asset's count is the number of references to it.
+/// Checks that each asset's count is the number of references to it.
 fn validate_counts<K: Key + Into<ObjectKey>, V>(
     assets: &Store<K, UseCounted<V>>,
     references: impl Iterator<Item = K>,
@@ -99,14 +99,10 @@ fn validate_counts<K: Key + Into<ObjectKey>, V>(
     let mut counts: slotmap::SecondaryMap<K, usize> = assets.keys().map(|key| (key, 0)).collect();
     for key in references {
         let count = counts.get_mut(key);
-        *count.ok_or(Error::Defect { object: key.into(), what: "it is referred to, but gone" })? += 1;
+        *count.ok_or(Error::Defect { object: key.into(), what: "it is referenced, but not in the scene" })? += 1;
     }
     for (key, used) in assets.iter() {
-        require_invariant(counts[key] == used.user_count, key, "its users are not those that it counts")?;
+        require_invariant(counts[key] == used.user_count, key, "its user count is not the number of references to it")?;
     }
     Ok(())
-}
-
-pub(super) fn require_invariant(holds: bool, object: impl Into<ObjectKey>, what: &'static str) -> Result<()> {
-    if holds { Ok(()) } else { Err(Error::Defect { object: object.into(), what }) }
 }

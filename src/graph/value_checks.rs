@@ -1,14 +1,14 @@
-//! Checks of the numbers in transforms, lights, cameras, materials and textures.
+//! Range checks of the values in transforms, lights, cameras, materials and textures.
 
 use std::f32::consts::{FRAC_PI_2, PI};
-use std::fmt::Debug;
 
 use glam::DAffine3;
 
 use super::{
     AlphaMode, Billboard, Camera, Core, Light, LightKind, Lod, LodMetric, Material, Texture, TextureRef, Transform,
 };
-use crate::{Error, Result};
+use crate::Result;
+use crate::error::require;
 
 /// Checks the numbers in a core, not the keys.
 pub(super) fn check_core(core: &Core) -> Result<()> {
@@ -30,7 +30,7 @@ pub(super) fn check_core(core: &Core) -> Result<()> {
     }
 }
 
-/// Checks the numbers in a transform. Returns its matrix, which is finite too: finite factors can have an infinite product.
+/// Checks the numbers in a transform and in its matrix, whose products can overflow. Returns the matrix.
 pub(super) fn check_transform(transform: &Transform) -> Result<DAffine3> {
     let affine = transform.to_affine();
     require(transform.is_finite() && affine.is_finite(), "transform", transform, "finite")?;
@@ -38,7 +38,7 @@ pub(super) fn check_transform(transform: &Transform) -> Result<DAffine3> {
 }
 
 fn check_lod(lod: &Lod) -> Result<()> {
-    require(lod.center.is_finite(), "centre of levels of detail", &lod.center, "finite")?;
+    require(lod.center.is_finite(), "centre of the levels of detail", &lod.center, "finite")?;
     let hysteresis = lod.hysteresis;
     require((0.0..1.0).contains(&hysteresis), "hysteresis of levels of detail", &hysteresis, "at least 0 and below 1")?;
     let is_positive = |value: &f64| *value > 0.0 && value.is_finite();
@@ -123,17 +123,13 @@ fn check_texture_ref(texture: &TextureRef) -> Result<()> {
     require(texture.transform.is_finite(), "texture transform", &texture.transform, "finite")
 }
 
-/// Checks that a texture has the texels that its size says, and one at least.
+/// Checks that a texture has `width * height` texels, and at least one.
 pub(super) fn check_texture(texture: &Texture) -> Result<()> {
     let (width, height, texels) = (texture.width, texture.height, texture.texels.len());
     let matches = u64::from(width) * u64::from(height) == texels as u64;
-    let size = format!("{width} x {height} with {texels} texels");
+    let size = format_args!("{width} x {height} with {texels} texels");
     let expected = "at least 1 x 1, with width times height texels";
-    if width > 0 && height > 0 && matches {
-        Ok(())
-    } else {
-        Err(Error::OutOfRange { what: "texture size", value: size, expected })
-    }
+    require(width > 0 && height > 0 && matches, "texture size", &size, expected)
 }
 
 fn require_unit(what: &'static str, value: f32) -> Result<()> {
@@ -146,8 +142,4 @@ fn require_at_least_zero(what: &'static str, value: f32) -> Result<()> {
 
 fn require_positive(what: &'static str, value: f32) -> Result<()> {
     require(value > 0.0 && value.is_finite(), what, &value, "finite and above 0")
-}
-
-fn require(holds: bool, what: &'static str, value: &impl Debug, expected: &'static str) -> Result<()> {
-    if holds { Ok(()) } else { Err(Error::OutOfRange { what, value: format!("{value:?}"), expected }) }
 }

@@ -1,28 +1,28 @@
-//! Walks that choose their way: visitors. Iterative, so as deep as any scene.
+//! Depth-first traversal with a visitor. Iterative, so that depth is unlimited.
 
 use std::ops::ControlFlow;
 
 use super::{NodeKey, Scene};
 use crate::Result;
 
-/// What a [`Visitor`] wants of the children of the node that it has just entered.
+/// Whether the children of the node just entered are visited.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Descend {
-    /// Visit them.
+    /// The children are visited.
     Into,
-    /// Pass them over; the node is left at once.
+    /// The children are skipped; the node is left at once.
     Skip,
 }
 
-/// What [`Scene::visit`] calls on its way. A closure from a node to `ControlFlow<B, Descend>` is one that only enters.
+/// Callbacks of [`Scene::visit`]. A closure `FnMut(NodeKey) -> ControlFlow<B, Descend>` is a visitor with only `enter`.
 pub trait Visitor {
-    /// What the visitor breaks off with.
+    /// The value with which the visitor ends the traversal early.
     type Break;
 
     /// Called for a node before its children.
     fn enter(&mut self, node: NodeKey) -> ControlFlow<Self::Break, Descend>;
 
-    /// Called for a node after what is below it, if that was visited at all. Does nothing unless written.
+    /// Called for a node after its subtree, visited or skipped. The default does nothing.
     fn leave(&mut self, _node: NodeKey) -> ControlFlow<Self::Break> {
         ControlFlow::Continue(())
     }
@@ -38,8 +38,9 @@ impl<B, F: FnMut(NodeKey) -> ControlFlow<B, Descend>> Visitor for F {
 
 /// Visiting the tree.
 impl Scene {
-    /// Walks from `top` down, children in order: enters each node before its children and leaves it after them, until the
-    /// visitor breaks off; then nothing more is left. O(nodes visited), no memory.
+    /// Traverses the subtree of `top`, children in order: enters each node before its children and leaves it after
+    /// them. Stops when the visitor breaks; `leave` is then not called for the nodes entered and not left yet. O(nodes
+    /// visited), no memory.
     ///
     /// ```
     /// use std::ops::ControlFlow::{self, Break, Continue};
@@ -50,18 +51,18 @@ impl Scene {
     /// let hand = scene.add(arm, Transform::IDENTITY)?;
     /// scene.set_visible(arm, false)?;
     ///
-    /// // Counts what is shown: nothing below a hidden node is.
+    /// // Count the visible nodes: nothing below a hidden node is visible.
     /// let mut shown = 0;
     /// let _: ControlFlow<()> = scene.visit(scene.root(), |node| match scene.is_visible(node) {
     ///     Ok(true) => {
     ///         shown += 1;
     ///         Continue(Descend::Into)
     ///     }
-    ///     _ => Continue(Descend::Past),
+    ///     _ => Continue(Descend::Skip),
     /// })?;
     /// assert_eq!(shown, 1);
     ///
-    /// // Breaks off at the first node that is two below.
+    /// // Stop at a node.
     /// let found = scene.visit(scene.root(), |node| if node == hand { Break(node) } else { Continue(Descend::Into) })?;
     /// assert_eq!(found, Break(hand));
     /// # Ok::<(), ropewalk::Error>(())
@@ -77,11 +78,11 @@ impl Scene {
     fn traverse<V: Visitor>(&self, top: NodeKey, visitor: &mut V) -> ControlFlow<V::Break> {
         let mut node = top;
         loop {
-            // 1. Down, as far as there are children.
+            // 1. Descend while there are children to visit.
             while let (Descend::Into, Some(child)) = (visitor.enter(node)?, self.nodes[node].first_child) {
                 node = child;
             }
-            // 2. Up, to the first node that has a sibling left.
+            // 2. Leave nodes, ascending, up to the first one with a next sibling.
             loop {
                 visitor.leave(node)?;
                 if node == top {

@@ -6,8 +6,9 @@ mod tonemap;
 
 pub use tonemap::{khronos_pbr_neutral, srgb_from_linear};
 
+use crate::Result;
+use crate::error::require;
 use crate::graph::NodeKey;
-use crate::{Error, Result};
 
 /// A rendered image: linear RGBA, row by row from the top.
 #[derive(Clone, Debug, PartialEq)]
@@ -57,13 +58,13 @@ impl Image {
     /// Rows and columns left over at the right and bottom are dropped. O(pixels).
     ///
     /// # Errors
-    /// [`Error::OutOfRange`] where `factor` is 0 or larger than the image, or an array has not `width * height` elements.
+    /// [`Error::OutOfRange`](crate::Error::OutOfRange) where `factor` is 0 or larger than the image, or an array has not
+    /// `width * height` elements.
     pub fn downscaled(&self, factor: u32) -> Result<Self> {
         self.validate()?;
-        if factor == 0 || factor > self.width.min(self.height) {
-            let expected = "between 1 and the image's width and height";
-            return Err(Error::OutOfRange { what: "the factor to downscale by", value: factor.to_string(), expected });
-        }
+        let is_allowed = factor > 0 && factor <= self.width.min(self.height);
+        let expected = "between 1 and the image's width and height";
+        require(is_allowed, "the factor to downscale by", &factor, expected)?;
 
         let (width, height) = (self.width / factor, self.height / factor);
         let pixels = || (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
@@ -89,12 +90,8 @@ impl Image {
     /// Checks that every array has `width * height` elements.
     fn validate(&self) -> Result<()> {
         let expected = u64::from(self.width) * u64::from(self.height);
-        let check = |what, len: usize| {
-            if len as u64 == expected {
-                return Ok(());
-            }
-            Err(Error::OutOfRange { what, value: len.to_string(), expected: "the image's width times its height" })
-        };
+        let check =
+            |what, len: usize| require(len as u64 == expected, what, &len, "the image's width times its height");
         check("the number of colours of an image", self.color.len())?;
         if let Some(aovs) = &self.aovs {
             check("the number of depths of an image", aovs.depth.len())?;

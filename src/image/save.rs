@@ -24,8 +24,8 @@ impl Image {
         let path = path.as_ref();
         let encode = encode::encoder_for_path(path)?;
         self.validate()?;
-        let bytes = encode(self).map_err(|source| Error::Image { path: path.to_owned(), source })?;
-        write_atomically(path, &bytes).map_err(|source| Error::Io { path: path.to_owned(), source })
+        let bytes = encode(self).map_err(|error| Error::Image { path: path.to_owned(), cause: error.to_string() })?;
+        write_atomically(path, &bytes).map_err(|error| Error::io(path, error))
     }
 
     /// Whether [`save`](Self::save) knows the format of a file of this name: to be asked before a long render.

@@ -27,11 +27,12 @@ pub use region_query::Overlap;
 use placed_instance::PlacedInstance;
 use stackless_traversal::StacklessTraversal;
 
+use crate::Result;
 use crate::compile::Compiler;
 use crate::device::layout::{InstanceRecord, Node, PrimitiveRange, Triangle};
+use crate::error::require;
 use crate::graph::{Hierarchy, NodePath, Scene};
 use crate::math::{Aabb, Bounds};
-use crate::{Error, Result};
 
 /// Asks a scene, in world space. Never stale: the scene cannot be edited meanwhile.
 ///
@@ -164,8 +165,4 @@ impl<'a> Queries<'a> {
 /// A corner in the arrays.
 fn to_dvec3(v: [f32; 3]) -> DVec3 {
     DVec3::from_array(v.map(f64::from))
-}
-
-fn require(holds: bool, what: &'static str, value: &dyn std::fmt::Debug, expected: &'static str) -> Result<()> {
-    if holds { Ok(()) } else { Err(Error::OutOfRange { what, value: format!("{value:?}"), expected }) }
 }

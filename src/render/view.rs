@@ -6,7 +6,8 @@ use glam::{DAffine3, DMat3, DVec2, DVec3, Vec3};
 
 use crate::compile::{ViewHeight, Viewpoint};
 use crate::device::layout::FrameParams;
-use crate::graph::{Camera, Core, NodeKey, Scene, Transform};
+use crate::error::require;
+use crate::graph::{Camera, Core, CoreKind, NodeKey, Scene, Transform};
 use crate::math::Bounds;
 use crate::query::{HalfSpace, Region};
 use crate::{Error, Result, trace};
@@ -64,9 +65,9 @@ impl View {
     /// # Errors
     /// [`Error::StaleKey`], or [`Error::WrongCore`] if the node is not a camera.
     pub fn from_camera(scene: &Scene, node: NodeKey, width: u32, height: u32) -> Result<Self> {
-        let core = scene.core(node)?;
+        let core = scene.node_core(node)?;
         let Core::Camera(camera) = *core else {
-            return Err(Error::WrongCore { node: node.into(), expected: "camera", found: core.kind() });
+            return Err(Error::WrongCore { node, expected: CoreKind::Camera, found: core.kind() });
         };
         let world_from_view = scene.world_from_local(node)?;
         Ok(Self { world_from_view, ..Self::look_at(DVec3::ZERO, DVec3::NEG_Z, DVec3::Y, camera, width, height) })
@@ -104,10 +105,6 @@ impl View {
     /// [`Error::OutOfRange`] names the value: a depth beyond [`MAX_DEPTH`](Self::MAX_DEPTH), a camera pose that is not finite or
     /// flattens an axis (a camera node below a scale of zero), a projection out of range, a sky that is not finite.
     pub fn validate(&self) -> Result<()> {
-        let require = |holds: bool, what, value: &dyn std::fmt::Debug, expected| {
-            let value = || format!("{value:?}");
-            if holds { Ok(()) } else { Err(Error::OutOfRange { what, value: value(), expected }) }
-        };
         let pose = &self.world_from_view;
         let axes = [pose.matrix3.x_axis, pose.matrix3.y_axis, pose.matrix3.z_axis];
         let is_usable = pose.is_finite() && axes.iter().all(|axis| axis.try_normalize().is_some());
@@ -162,11 +159,9 @@ impl View {
     /// Checks that there are such pixels.
     pub(super) fn check_pixels(&self, columns: Range<u32>, rows: Range<u32>) -> Result<()> {
         let is_within = |range: &Range<u32>, end| !range.is_empty() && range.end <= end;
-        if is_within(&columns, self.width) && is_within(&rows, self.height) {
-            return Ok(());
-        }
-        let value = format!("columns {columns:?}, rows {rows:?} of {} x {}", self.width, self.height);
-        Err(Error::OutOfRange { what: "pixel", value, expected: "inside the image" })
+        let is_inside = is_within(&columns, self.width) && is_within(&rows, self.height);
+        let value = format_args!("columns {columns:?}, rows {rows:?} of {} x {}", self.width, self.height);
+        require(is_inside, "pixel", &value, "inside the image")
     }
 
     /// Who looks, for levels of detail and billboards.

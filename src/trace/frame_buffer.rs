@@ -3,10 +3,11 @@
 use slotmap::KeyData;
 
 use super::kernel::Pixel;
+use crate::Result;
 use crate::device::layout::NONE;
+use crate::error::{Resource, require_within};
 use crate::graph::NodeKey;
 use crate::image::{Aovs, Image};
-use crate::{Error, Result};
 
 /// What the kernel writes for each pixel, row by row from the top.
 #[derive(Clone, Debug, Default)]
@@ -41,10 +42,7 @@ impl FrameBuffer {
     /// The number of pixels of a frame, if it is one that can be rendered.
     pub(crate) fn check_size(width: u32, height: u32) -> Result<usize> {
         let needed = u64::from(width) * u64::from(height);
-        if needed > MAX_PIXELS {
-            let hint = "; render the image in parts";
-            return Err(Error::Limit { what: "the image (pixels)", needed, limit: MAX_PIXELS, hint });
-        }
+        require_within(Resource::ImagePixels, needed, MAX_PIXELS)?;
         Ok(needed as usize)
     }
 

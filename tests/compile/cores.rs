@@ -54,7 +54,7 @@ fn a_switch_shows_what_it_chooses() {
     let mut renderer = cpu();
     assert_eq!(seen(&mut renderer, &mut scene, eye), Some(children[1]));
 
-    scene.edit_core(key, Core::Switch(Switch::One(2))).unwrap();
+    scene.set_core(key, Core::Switch(Switch::One(2))).unwrap();
     assert_eq!(seen(&mut renderer, &mut scene, eye), Some(children[2]));
     for (switch, shown) in [
         (Switch::None, None),
@@ -63,12 +63,12 @@ fn a_switch_shows_what_it_chooses() {
         // Of surfaces in one place the first to be hit has the lower number.
         (Switch::All, Some(children[0])),
     ] {
-        scene.edit_core(key, Core::Switch(switch.clone())).unwrap();
+        scene.set_core(key, Core::Switch(switch.clone())).unwrap();
         assert_eq!(seen(&mut renderer, &mut scene, eye).is_some(), shown.is_some(), "{switch:?}");
     }
 
     // Children are counted anew when one goes or comes.
-    scene.edit_core(key, Core::Switch(Switch::One(1))).unwrap();
+    scene.set_core(key, Core::Switch(Switch::One(1))).unwrap();
     scene.remove(children[0]).unwrap();
     assert_eq!(seen(&mut renderer, &mut scene, eye), Some(children[2]));
     scene.reparent(children[1], scene.root(), KeepTransform::Local).unwrap();
@@ -76,7 +76,7 @@ fn a_switch_shows_what_it_chooses() {
     // A switch that becomes a group shows all.
     scene.remove(children[1]).unwrap();
     assert_eq!(seen(&mut renderer, &mut scene, eye), None);
-    scene.edit_core(key, Core::Group).unwrap();
+    scene.set_core(key, Core::Group).unwrap();
     assert_eq!(seen(&mut renderer, &mut scene, eye), Some(children[2]));
     scene.validate().unwrap();
 }
@@ -98,9 +98,9 @@ fn of_material_groups_the_outermost_counts() {
         Vec3::new(pixel[0], pixel[1], pixel[2])
     };
     assert_eq!(color(&mut scene), Vec3::Z);
-    scene.set_core(outer_group, Core::Group).unwrap();
+    scene.assign_core(outer_group, Core::Group).unwrap();
     assert_eq!(color(&mut scene), Vec3::Y);
-    scene.set_core(inner_group, Core::Group).unwrap();
+    scene.assign_core(inner_group, Core::Group).unwrap();
     assert_eq!(color(&mut scene), Vec3::X);
     assert!(scene.material(outer).is_err(), "a material group was its only user");
 }
@@ -182,10 +182,10 @@ fn nobody_instances_itself() {
     is_cycle(scene.add(b, Core::Instance(a)).map(drop));
     is_cycle(scene.add(b, Core::Instance(scene.root())).map(drop));
     is_cycle(scene.reparent(a, b, KeepTransform::Local));
-    is_cycle(scene.set_core(b, Core::Instance(a)));
+    is_cycle(scene.assign_core(b, Core::Instance(a)));
     let key = scene.core_key(in_a).unwrap();
     is_cycle(scene.add(b, key).map(drop));
-    is_cycle(scene.edit_core(key, Core::Instance(a)));
+    is_cycle(scene.set_core(key, Core::Instance(a)));
     scene.remove(in_a).unwrap();
     scene.add(b, Core::Instance(a)).unwrap();
     scene.validate().unwrap();
@@ -225,7 +225,7 @@ fn instances_change_and_move_in_one_go() {
     let inner = scene.add(root, Core::Instance(one)).unwrap();
     scene.add(root, Core::Instance(inner)).unwrap();
     scene.hierarchy().unwrap();
-    scene.set_core(inner, Core::Instance(other)).unwrap();
+    scene.assign_core(inner, Core::Instance(other)).unwrap();
     scene.reparent(inner, one, KeepTransform::Local).unwrap();
     scene.hierarchy().unwrap();
     scene.validate().unwrap();
@@ -330,7 +330,7 @@ fn billboards_face_each_camera() {
         assert!(Vec3::from(normal).dot(to_eye) > 0.999_99, "{normal:?} does not look at {to_eye}");
     }
     // About an axis only.
-    scene.set_core(board, Billboard::Cylindrical(DVec3::Y)).unwrap();
+    scene.assign_core(board, Billboard::Cylindrical(DVec3::Y)).unwrap();
     scene.set_local(place, at(0.0, 0.0, 0.0)).unwrap();
     let image = renderer.render(&mut scene, &view_from(DVec3::new(3.0, 3.0, 0.0))).unwrap().image().unwrap();
     let normal = Vec3::from(image.aovs.unwrap().normal[(SIZE * SIZE / 2) as usize]);

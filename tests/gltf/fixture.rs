@@ -142,12 +142,12 @@ impl Imported {
     /// The children of the file's node with this index that have geometry.
     pub(crate) fn geometry_nodes(&self, index: usize) -> Vec<NodeKey> {
         let children = self.scene.children(self.node(index)).unwrap();
-        children.filter(|&child| matches!(self.scene.core(child), Ok(Core::Geometry { .. }))).collect()
+        children.filter(|&child| matches!(self.scene.node_core(child), Ok(Core::Geometry { .. }))).collect()
     }
 
     /// The geometry and material of a node.
     pub(crate) fn drawn(&self, node: NodeKey) -> (&Geometry, &Material) {
-        let Core::Geometry { geometry, material } = *self.scene.core(node).unwrap() else { panic!("no geometry") };
+        let Core::Geometry { geometry, material } = *self.scene.node_core(node).unwrap() else { panic!("no geometry") };
         (self.scene.geometry(geometry).unwrap(), self.scene.material(material).unwrap())
     }
 

@@ -129,7 +129,7 @@ fn cameras() {
     let Imported { scene, report } = &imported;
     let found: Vec<_> = report.cameras.iter().map(|c| (&*c.name, c.index)).collect();
     assert_eq!(found, [("main", 0), ("top", 1), ("main", 0), ("", 2)]);
-    let core = |i: usize| scene.core(report.cameras[i].node).unwrap();
+    let core = |i: usize| scene.node_core(report.cameras[i].node).unwrap();
     assert_eq!(*core(0), Core::Camera(Camera::Perspective { y_fov: 0.5, aspect: Some(1.5), shift: Vec2::ZERO }));
     assert_eq!(*core(1), Core::Camera(Camera::orthographic(2.0, 3.0)));
     assert_eq!(scene.core_key(report.cameras[0].node).unwrap(), scene.core_key(report.cameras[2].node).unwrap());
@@ -158,7 +158,7 @@ fn lights() {
     fixture.json["nodes"] = json!([light(0), light(1), light(2), light(3), light(4), light(0)]);
     let imported = fixture.import();
     let Imported { scene, report } = &imported;
-    let cores: Vec<_> = report.lights.iter().map(|l| scene.core(l.node).unwrap().clone()).collect();
+    let cores: Vec<_> = report.lights.iter().map(|l| scene.node_core(l.node).unwrap().clone()).collect();
     let spot = |inner_cone_angle, outer_cone_angle| LightKind::Spot { inner_cone_angle, outer_cone_angle };
     let white = |kind, intensity| Core::Light(Light { kind, color: Vec3::ONE, intensity, range: None });
     let right_angle = std::f32::consts::FRAC_PI_2;
@@ -185,7 +185,7 @@ fn the_product_of_a_light_s_color_and_intensity_is_finite() {
         fixture.json["extensionsUsed"] = json!(["KHR_lights_punctual"]);
         fixture.json["nodes"] = json!([{"extensions": {"KHR_lights_punctual": {"light": 0}}}]);
         let imported = fixture.import();
-        let Core::Light(light) = imported.scene.core(imported.report.lights[0].node).unwrap() else { panic!() };
+        let Core::Light(light) = imported.scene.node_core(imported.report.lights[0].node).unwrap() else { panic!() };
         assert_eq!(light.color, Vec3::from(color));
         let product = (light.color * light.intensity).max_element();
         assert!(product.is_finite(), "{light:?}");

@@ -159,7 +159,7 @@ fn compare(path: &Path) -> usize {
         let drawn: Vec<NodeKey> = scene
             .children(key)
             .unwrap()
-            .filter(|&child| matches!(scene.core(child), Ok(Core::Geometry { .. })))
+            .filter(|&child| matches!(scene.node_core(child), Ok(Core::Geometry { .. })))
             .collect();
         let weights = node.weights().or(mesh.weights()).unwrap_or(&[]);
         let triangles =
@@ -170,7 +170,7 @@ fn compare(path: &Path) -> usize {
         }
         assert_eq!(drawn.len(), primitives.len(), "{}", path.display());
         for (primitive, child) in primitives.iter().zip(drawn) {
-            let Core::Geometry { geometry, .. } = *scene.core(child).unwrap() else { unreachable!() };
+            let Core::Geometry { geometry, .. } = *scene.node_core(child).unwrap() else { unreachable!() };
             let found = ours(scene.geometry(geometry).unwrap(), &scene.world_from_local(child).unwrap());
             let expected = reference.corners(primitive, weights);
             assert_eq!(found.len(), expected.len(), "{}", path.display());

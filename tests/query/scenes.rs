@@ -195,7 +195,7 @@ pub fn drawn(scene: &mut Scene, origin: DVec3, mask: u32) -> Vec<Drawn> {
 
 fn draw(scene: &Scene, hierarchy: &Hierarchy, entry: usize, origin: DVec3, mask: u32) -> Option<Drawn> {
     let path = hierarchy.path(entry);
-    let Ok(&Core::Geometry { geometry, material }) = scene.core(path.node) else { return None };
+    let Ok(&Core::Geometry { geometry, material }) = scene.node_core(path.node) else { return None };
     let placed = hierarchy.resolved()[entry];
     let material = placed.material.unwrap_or(material);
     let mut relative = placed.world_from_local;

@@ -160,14 +160,14 @@ impl Compiled {
             Edit::Swap => {
                 for &joint in chosen {
                     let [one, other] = self.geometries;
-                    let shown = scene.core(self.boxes[joint])?.geometry();
+                    let shown = scene.node_core(self.boxes[joint])?.geometry();
                     let geometry = if shown == Some(one) { other } else { one };
-                    scene.set_core(self.boxes[joint], Core::Geometry { geometry, material })?;
+                    scene.assign_core(self.boxes[joint], Core::Geometry { geometry, material })?;
                 }
             }
             Edit::Toggle => {
                 let shown = if self.round.is_multiple_of(2) { Switch::All } else { Switch::None };
-                scene.set_core(self.switch, shown)?;
+                scene.assign_core(self.switch, shown)?;
             }
         }
         Ok(())

@@ -246,7 +246,7 @@ impl App {
     /// own box where it is a geometry, a box along the world's axes around a subtree.
     pub(crate) fn selected_corners(&mut self) -> Option<[DVec3; 8]> {
         let node = self.selection?;
-        if let Some(geometry) = self.scene.core(node).ok()?.geometry() {
+        if let Some(geometry) = self.scene.node_core(node).ok()?.geometry() {
             let (bounds, world) = (self.scene.geometry_bounds(geometry).ok()?, self.scene.world_from_local(node).ok()?);
             return (!bounds.is_empty()).then(|| bounds.corners().map(|corner| world.transform_point3(corner)));
         }

@@ -40,7 +40,7 @@ pub(crate) struct Drag {
 pub(crate) fn moved_by(scene: &Scene, node: NodeKey, moves: Moves) -> Option<NodeKey> {
     let above = scene.ancestors(node).into_iter().flatten();
     let mut transforms =
-        std::iter::once(node).chain(above).filter(|&node| matches!(scene.core(node), Ok(Core::Transform(_))));
+        std::iter::once(node).chain(above).filter(|&node| matches!(scene.node_core(node), Ok(Core::Transform(_))));
     let nearest = transforms.next()?;
     match moves {
         Moves::Object => Some(nearest),

@@ -34,15 +34,15 @@ impl Inspector {
 
     fn node(&mut self, ui: &mut Ui, app: &mut App, node: NodeKey) {
         let (Ok(core), Ok(visible), Ok(mask)) =
-            (app.scene.core(node), app.scene.is_visible(node), app.scene.mask(node))
+            (app.scene.node_core(node), app.scene.is_visible(node), app.scene.mask(node))
         else {
             return;
         };
         let core = core.clone();
         ui.horizontal(|ui| {
             let (sign, _) = ui.allocate_exact_size(Vec2::splat(2.0 * signs::RADIUS), Sense::hover());
-            signs::paint(ui.painter(), sign.center(), &core, 1.0);
-            ui.strong(core.kind());
+            signs::paint(ui.painter(), sign.center(), core.kind(), 1.0);
+            ui.strong(core.kind().name());
             ui.add(Label::new(RichText::new(describe(&app.scene, node, &core)).weak()).truncate());
         });
         self.name(ui, app, node);

@@ -165,7 +165,7 @@ fn every_kind_of_edit_is_undone_and_done_again() {
     }
     let state = |app: &App| {
         let scene = &app.scene;
-        let (name, core) = (scene.name(drum).unwrap().to_owned(), scene.core(knot).ok().cloned());
+        let (name, core) = (scene.name(drum).unwrap().to_owned(), scene.node_core(knot).ok().cloned());
         (name, scene.is_visible(drum).unwrap(), scene.mask(drum).unwrap(), core)
     };
     let moved = ("barrel".to_owned(), false, 5, Some(Core::Transform(turned)));

@@ -1,7 +1,7 @@
 //! The signs of the kinds of nodes, painted: fonts have no such glyphs everywhere.
 
 use egui::{Color32, Painter, Pos2, Rect, Shape, Stroke, StrokeKind, Vec2, pos2, vec2};
-use ropewalk::Core;
+use ropewalk::graph::CoreKind;
 
 use crate::theme;
 
@@ -9,14 +9,14 @@ use crate::theme;
 pub(crate) const RADIUS: f32 = 6.0;
 
 /// Paints the sign of a kind of node; fainter for a strength below 1.
-pub(crate) fn paint(painter: &Painter, center: Pos2, core: &Core, strength: f32) {
+pub(crate) fn paint(painter: &Painter, center: Pos2, kind: CoreKind, strength: f32) {
     let color = |r, g, b| Color32::from_rgb(r, g, b).gamma_multiply(strength);
-    match core {
-        Core::Transform(_) => cross(painter, center, color(0x7F, 0xB2, 0xE5)),
-        Core::Geometry { .. } => triangle(painter, center, color(0x8F, 0xC9, 0x8A)),
-        Core::Light(_) => sun(painter, center, color(0xF2, 0xD0, 0x6B)),
-        Core::Camera(_) => camera(painter, center, color(0xC8, 0xA2, 0xE0)),
-        Core::Instance(_) => {
+    match kind {
+        CoreKind::Transform => cross(painter, center, color(0x7F, 0xB2, 0xE5)),
+        CoreKind::Geometry => triangle(painter, center, color(0x8F, 0xC9, 0x8A)),
+        CoreKind::Light => sun(painter, center, color(0xF2, 0xD0, 0x6B)),
+        CoreKind::Camera => camera(painter, center, color(0xC8, 0xA2, 0xE0)),
+        CoreKind::Instance => {
             let stroke = Stroke::new(1.3, color(0xE0, 0x9A, 0xB0));
             for offset in [vec2(-1.8, -1.8), vec2(1.8, 1.8)] {
                 let rect = Rect::from_center_size(center + offset, Vec2::splat(7.0));

@@ -93,7 +93,7 @@ impl TreePanel {
     fn row(&mut self, ui: &mut Ui, app: &mut App, Row { node, depth }: Row) {
         let (rect, response) = ui.allocate_exact_size(vec2(ui.available_width(), ROW_HEIGHT), Sense::click());
         let (Ok(core), Ok(name), Ok(is_visible)) =
-            (app.scene.core(node), app.scene.name(node), app.scene.is_visible(node))
+            (app.scene.node_core(node), app.scene.name(node), app.scene.is_visible(node))
         else {
             return;
         };
@@ -101,7 +101,7 @@ impl TreePanel {
         let label = if is_root && name.is_empty() {
             "scene"
         } else if name.is_empty() {
-            core.kind()
+            core.kind().name()
         } else {
             name
         };
@@ -119,7 +119,7 @@ impl TreePanel {
         let x = rect.left() + 14.0 + depth.min(MOST_INDENTS) as f32 * INDENT;
         let font = FontId::proportional(13.0);
         let at = |x: f32| pos2(x, rect.center().y);
-        signs::paint(&painter, at(x + 6.0), core, strength);
+        signs::paint(&painter, at(x + 6.0), core.kind(), strength);
         painter.text(at(x + 18.0), Align2::LEFT_CENTER, label, font, text_color);
 
         let eye = Rect::from_center_size(at(rect.right() - 14.0), vec2(20.0, ROW_HEIGHT));
@@ -200,7 +200,7 @@ fn tree(scene: &Scene, expanded: &HashSet<NodeKey>) -> Vec<Row> {
 fn found(scene: &Scene, text: &str) -> Vec<Row> {
     let text = text.to_lowercase();
     let matches = |node: &NodeKey| {
-        let kind = scene.core(*node).map_or("", Core::kind);
+        let kind = scene.node_core(*node).map_or("", |core| core.kind().name());
         scene.name(*node).is_ok_and(|name| name.to_lowercase().contains(&text) || name.is_empty() && kind == text)
     };
     let nodes = scene.subtree(scene.root()).into_iter().flatten();

@@ -1,4 +1,4 @@
-//! Which entries there are: planting subtrees, and leaving gaps where some were removed.
+//! Adding and removing entries.
 
 use std::collections::{BTreeSet, HashMap, HashSet};
 use std::ops::Range;
@@ -6,13 +6,14 @@ use std::ops::Range;
 use slotmap::Key;
 
 use super::{DAffine3, EntryProperties, Hierarchy, PendingUpdates, ResolvedEntry, SceneStores};
+use crate::Result;
+use crate::error::{Resource, require_within};
 use crate::graph::node::Node;
 use crate::graph::{Core, NodeKey};
-use crate::{Error, Result};
 
-/// What the scene reports. Nothing is done about most of it before [`update`](Hierarchy::update).
+/// Change notifications from the scene. Most are only recorded here and applied by [`update`](Hierarchy::update).
 impl Hierarchy {
-    /// The node is new, or has another parent. O(1).
+    /// The node was added, or has another parent. O(1).
     pub(in crate::graph) fn node_attached(&mut self, node: NodeKey) {
         if self.pending.is_built {
             self.pending.reattached.push(node);
@@ -20,7 +21,7 @@ impl Hierarchy {
         }
     }
 
-    /// The node is about to go, with all below it. O(entries below it).
+    /// The node and its subtree are about to be removed. O(entries removed).
     pub(in crate::graph) fn subtree_removed(&mut self, node: NodeKey) {
         if self.pending.is_built {
             let entries: Vec<usize> = self.entries(node).collect();
@@ -30,12 +31,12 @@ impl Hierarchy {
         }
     }
 
-    /// The node's own transform, mask, visibility or material is another. O(its entries).
+    /// The node's own transform, mask, visibility or material group changed. O(its entries).
     pub(in crate::graph) fn node_changed(&mut self, key: NodeKey, node: &Node, core: &Core) {
         self.edit_properties(key, |own| own.read(node, core));
     }
 
-    /// The node's own transform is another one. O(its entries).
+    /// The node's own transform changed. O(its entries).
     pub(in crate::graph) fn transform_changed(&mut self, key: NodeKey, local: &DAffine3) {
         self.edit_properties(key, |own| own.local = *local);
     }
@@ -59,14 +60,14 @@ impl Hierarchy {
         }
     }
 
-    /// The node's core is or was a switch, or its children are others.
+    /// The node's core is or was a switch, or its list of children changed.
     pub(in crate::graph) fn switch_changed(&mut self, node: NodeKey) {
         if self.pending.is_built {
             self.pending.switches.insert(node);
         }
     }
 
-    /// Shows all edits made so far.
+    /// Applies all recorded changes and recomputes inherited values.
     ///
     /// # Errors
     /// [`Error::Limit`] if instances of instances make more than [`MAX_INSTANCED`](Self::MAX_INSTANCED) entries.
@@ -89,18 +90,20 @@ impl Hierarchy {
         Ok(())
     }
 
-    /// Gaps, and entries in grafts.
+    /// Number of removed entries and of entries in appended ranges.
     fn unordered_count(&self) -> usize {
-        self.gaps.len() + self.appended_count
+        self.removed.len() + self.appended_count
     }
 
+    /// Number of unordered entries, or of reattached nodes, beyond which a rebuild is cheaper than more updates.
     fn rebuild_threshold(&self) -> usize {
         1024 + self.nodes.len() / 4
     }
 }
 
-/// Catching up.
+/// Applying the recorded changes.
 impl Hierarchy {
+    /// Builds all arrays in preorder.
     fn rebuild(&mut self, tree: SceneStores<'_>) -> Result<()> {
         let boxes = self.subtree_bounds.take().map(|_| Default::default());
         *self = Self { generation: self.generation + 1, subtree_bounds: boxes, ..Self::default() };
@@ -116,31 +119,32 @@ impl Hierarchy {
         Ok(())
     }
 
+    /// Removes and appends the entries that changed.
     fn update_structure(&mut self, tree: SceneStores<'_>) -> Result<()> {
-        // 1. Those that have another parent leave the old one. Where they are instanced, they stay.
-        let unplanted = std::mem::take(&mut self.pending.reattached);
-        for &node in &unplanted {
-            let real: Vec<usize> =
+        // 1. Remove the entries of reattached nodes below their old parents; entries that are instance roots stay.
+        let reattached = std::mem::take(&mut self.pending.reattached);
+        for &node in &reattached {
+            let children: Vec<usize> =
                 self.entries(node).filter(|&entry| !self.properties[entry].is_instance_root).collect();
-            for entry in real {
+            for entry in children {
                 self.remove_subtree(entry);
             }
         }
 
-        // 2. They appear below every entry of their parent, with all below them. Below one that is planted later, or was
-        //    planted here, they come with it.
-        for node in unplanted {
+        // 2. Append the subtree of each reattached node below every entry of its new parent that does not have it yet
+        //    (an earlier append may have brought it along).
+        for node in reattached {
             let Some(slot) = tree.nodes.get(node) else { continue };
             let Some(parent) = slot.parent else { continue };
-            let standing = self.entries(node).filter(|&entry| !self.properties[entry].is_instance_root);
-            let has_it: HashSet<usize> = standing.map(|entry| self.parents[entry] as usize).collect();
+            let children = self.entries(node).filter(|&entry| !self.properties[entry].is_instance_root);
+            let has_it: HashSet<usize> = children.map(|entry| self.parents[entry] as usize).collect();
             let parents: Vec<usize> = self.entries(parent).filter(|parent| !has_it.contains(parent)).collect();
             for parent in parents {
                 self.append_below(tree, node, parent, false)?;
             }
         }
 
-        // 3. What is instanced stands below every entry of the node that instances it.
+        // 3. Append each instance target below every entry of the node that instances it, replacing an old target.
         for node in std::mem::take(&mut self.pending.instances) {
             if !tree.nodes.contains_key(node) {
                 continue;
@@ -148,15 +152,15 @@ impl Hierarchy {
             let target = tree.target(node);
             let entries: Vec<usize> = self.entries(node).collect();
             for entry in entries {
-                // One may stand below another, and have gone with it.
+                // The entry may have been removed together with one above it.
                 if self.is_removed(entry) {
                     continue;
                 }
-                let instanced = self.instance_root_below(entry);
-                if instanced.map(|entry| self.nodes[entry]) == target {
+                let instance_root = self.instance_root_below(entry);
+                if instance_root.map(|entry| self.nodes[entry]) == target {
                     continue;
                 }
-                if let Some(old) = instanced {
+                if let Some(old) = instance_root {
                     self.remove_subtree(old);
                 }
                 if let Some(target) = target {
@@ -167,18 +171,18 @@ impl Hierarchy {
         Ok(())
     }
 
-    /// The entry that stands below `entry` because that one instances its node.
+    /// The root of the instanced subtree below `entry`, if its core is or was an instance.
     fn instance_root_below(&self, entry: usize) -> Option<usize> {
-        let is_it = |&below: &usize| {
+        let is_instance_root = |&below: &usize| {
             self.parents.get(below) == Some(&(entry as u32))
                 && self.properties[below].is_instance_root
                 && !self.nodes[below].is_null()
         };
-        let grafts = self.appended_below(entry..entry + 1);
-        std::iter::once(entry + 1).chain(grafts).find(is_it)
+        let appended = self.appended_below(entry..entry + 1);
+        std::iter::once(entry + 1).chain(appended).find(is_instance_root)
     }
 
-    /// Plants a subtree at the end of the arrays, below an entry that may lie anywhere before it.
+    /// Appends the entries of a subtree at the end of the arrays, as children of an existing entry.
     fn append_below(&mut self, tree: SceneStores<'_>, node: NodeKey, parent: usize, instanced: bool) -> Result<()> {
         let start = self.nodes.len();
         self.check_entry_limit(tree, node)?;
@@ -188,12 +192,13 @@ impl Hierarchy {
         Ok(())
     }
 
-    /// Appends entries for a node and all below it in preorder: what a node instances comes before its children.
+    /// Appends entries for a node and all below it in preorder; an instance target precedes the node's own children.
     fn append_subtree(&mut self, tree: SceneStores<'_>, top: NodeKey, parent: u32, instanced: bool) {
         let first = self.nodes.len() as u32;
         let (mut node, mut parent, mut instanced) = (top, parent, instanced);
         'down: loop {
             let entry = self.push(tree, node, parent, instanced);
+            // Descend to the instance target, else to the first child.
             if let Some(target) = tree.target(node) {
                 (node, parent, instanced) = (target, entry, true);
                 continue;
@@ -202,7 +207,7 @@ impl Hierarchy {
                 (node, parent, instanced) = (child, entry, false);
                 continue;
             }
-            // Go up to what comes next, closing the subtrees that end here.
+            // No child left: ascend to the next sibling, setting the subtree ends on the way.
             let mut closed = entry;
             loop {
                 self.subtree_ends[closed as usize] = self.nodes.len() as u32;
@@ -225,36 +230,38 @@ impl Hierarchy {
         }
     }
 
-    /// Checks, before anything is allocated, that a subtree has not too many entries.
+    /// Checks the entry limit before allocating: nested instances multiply.
     fn check_entry_limit(&self, tree: SceneStores<'_>, top: NodeKey) -> Result<()> {
         if !tree.has_instances {
             return Ok(());
         }
-        let used = self.nodes.len() - self.gaps.len();
+        let used = self.nodes.len() - self.removed.len();
         let needed = tree.entry_count(top).saturating_add(used as u64);
         let limit = (tree.nodes.len() + Self::MAX_INSTANCED) as u64;
-        let (what, hint) = ("the scene with all instances of its nodes", "; instances of instances multiply");
-        if needed <= limit { Ok(()) } else { Err(Error::Limit { what, needed, limit, hint }) }
+        require_within(Resource::HierarchyEntries, needed, limit)
     }
 
+    /// Appends one entry, without its inherited values. Returns its index.
     fn push(&mut self, tree: SceneStores<'_>, key: NodeKey, parent: u32, instanced: bool) -> u32 {
+        // 1. The entry's own values.
         let entry = self.nodes.len() as u32;
         let node = &tree.nodes[key];
         let core = &tree.cores[node.core].core;
-        let copy = instanced || self.properties.get(parent as usize).is_some_and(|own| own.is_in_instance);
-        let mut own = EntryProperties { is_instance_root: instanced, is_in_instance: copy, ..EntryProperties::DEFAULT };
+        let is_in_instance = instanced || self.properties.get(parent as usize).is_some_and(|own| own.is_in_instance);
+        let mut own = EntryProperties { is_instance_root: instanced, is_in_instance, ..EntryProperties::DEFAULT };
         own.read(node, core);
         if matches!(core, Core::Switch(_)) {
             self.pending.switches.insert(key);
         }
+        // 2. Append it to the arrays.
         self.nodes.push(key);
         self.parents.push(parent);
         self.subtree_ends.push(entry + 1);
         self.properties.push(own);
-        self.placed.push(ResolvedEntry::ROOT_INHERITANCE);
-        // Where a node itself stands comes first.
+        self.resolved.push(ResolvedEntry::ROOT_INHERITANCE);
+        // 3. Register it with its node. A node's own entry takes precedence over its instanced ones.
         let other = match self.first_entries.get(key).copied() {
-            Some(_) if copy => Some(entry),
+            Some(_) if is_in_instance => Some(entry),
             first => {
                 self.first_entries.insert(key, entry);
                 first
@@ -266,7 +273,7 @@ impl Hierarchy {
         entry
     }
 
-    /// Leaves gaps for an entry and all below it.
+    /// Marks an entry and all below it as removed.
     fn remove_subtree(&mut self, entry: usize) {
         if self.nodes[entry].is_null() {
             return;
@@ -282,8 +289,8 @@ impl Hierarchy {
             if !node.is_null() {
                 self.unregister_entry(node, entry as u32);
                 self.properties[entry].visible = false;
-                self.placed[entry].visible = false;
-                self.gaps.push(entry as u32);
+                self.resolved[entry].visible = false;
+                self.removed.push(entry as u32);
                 if let Some(boxes) = &mut self.subtree_bounds {
                     boxes.mark_entry(entry);
                 }
@@ -291,6 +298,7 @@ impl Hierarchy {
         }
     }
 
+    /// Removes an entry from those of its node.
     fn unregister_entry(&mut self, node: NodeKey, entry: u32) {
         let more = self.instanced_entries.get_mut(&node);
         if self.first_entries.get(node) == Some(&entry) {
@@ -306,30 +314,30 @@ impl Hierarchy {
         }
     }
 
-    /// Finds out which children are chosen wherever that may have changed. O(children of the switches).
+    /// Re-evaluates the switches in `pending` and marks children whose selection changed. O(children of the switches).
     fn apply_switches(&mut self, tree: SceneStores<'_>) {
         for node in std::mem::take(&mut self.pending.switches) {
             let Some(slot) = tree.nodes.get(node) else { continue };
             let core = &tree.cores[slot.core].core;
-            let (mut child, mut number) = (slot.first_child, 0);
+            let (mut child, mut child_index) = (slot.first_child, 0);
             while let Some(key) = child {
-                let chosen = if let Core::Switch(switch) = core { switch.shows(number) } else { true };
+                let selected = if let Core::Switch(switch) = core { switch.shows(child_index) } else { true };
                 let entries: Vec<usize> = self.entries(key).collect();
                 for entry in entries {
                     let own = &mut self.properties[entry];
-                    if !own.is_instance_root && own.selected != chosen {
-                        own.selected = chosen;
+                    if !own.is_instance_root && own.selected != selected {
+                        own.selected = selected;
                         self.pending.dirty.insert(entry);
                     }
                 }
-                (child, number) = (tree.nodes[key].next_sibling, number + 1);
+                (child, child_index) = (tree.nodes[key].next_sibling, child_index + 1);
             }
         }
     }
 }
 
 impl SceneStores<'_> {
-    /// The node that this one instances, if that is still there.
+    /// The target of the node, if its core is an instance and the target is in the scene.
     fn target(self, node: NodeKey) -> Option<NodeKey> {
         match *self.core(node) {
             Core::Instance(target) => Some(target).filter(|&target| self.nodes.contains_key(target)),
@@ -337,35 +345,37 @@ impl SceneStores<'_> {
         }
     }
 
-    /// How many entries a node and all below it have. O(nodes that are shown there, each counted twice at most).
+    /// How many entries a node and all below it have. O(nodes reachable from `top`); memoised per instance target.
     fn entry_count(self, top: NodeKey) -> u64 {
+        // Depth-first over `top` and the instance targets below it. A subtree is counted when the counts of all targets
+        // in it are known; until then those without one are put on the stack above it.
         let mut counts: HashMap<NodeKey, u64> = HashMap::new();
-        let mut open = vec![top];
-        while let Some(&node) = open.last() {
+        let mut stack = vec![top];
+        while let Some(&node) = stack.last() {
             if counts.contains_key(&node) {
-                open.pop();
+                stack.pop();
                 continue;
             }
-            let (mut count, before) = (0u64, open.len());
+            let (mut count, before) = (0u64, stack.len());
             let mut next = Some(node);
             while let Some(below) = next {
                 count = count.saturating_add(1);
                 match self.target(below).map(|target| (target, counts.get(&target))) {
                     Some((_, Some(&more))) => count = count.saturating_add(more),
-                    Some((target, None)) => open.push(target),
+                    Some((target, None)) => stack.push(target),
                     None => {}
                 }
                 next = self.after(node, below);
             }
-            if open.len() == before {
+            if stack.len() == before {
                 counts.insert(node, count);
-                open.pop();
+                stack.pop();
             }
         }
         counts[&top]
     }
 
-    /// The node after `node` in preorder, by children, at or below `top`.
+    /// The next node in preorder, by children, at or below `top`.
     fn after(self, top: NodeKey, mut node: NodeKey) -> Option<NodeKey> {
         if let Some(child) = self.nodes[node].first_child {
             return Some(child);
@@ -393,7 +403,7 @@ impl EntryProperties {
         is_in_instance: false,
     };
 
-    /// Takes over what node and core say.
+    /// Loads the own values from node and core.
     fn read(&mut self, node: &Node, core: &Core) {
         (self.local, self.has_transform) = match core {
             Core::Transform(transform) => (transform.to_affine(), true),

@@ -1,12 +1,15 @@
-//! The hot path of the graph: all nodes in arrays, with what they inherit from those above them.
+//! The flattened hierarchy: all occurrences of nodes in arrays, with inherited world matrix, mask, visibility and
+//! material. This is the per-frame hot path of the graph.
 //!
-//! An *entry* is one appearance of a node: most nodes have one, a node below the target of [`Core::Instance`] has one
-//! more for each instance of it. Entries stand in preorder, so that a subtree is a range. After structural edits only
-//! the changed part is touched: what was removed leaves *gaps*, what was added is a *graft*, a range of its own at the
-//! end of the arrays, which refers to its parent before it. When a quarter of the arrays is gaps and grafts, they are
-//! built anew in preorder; so an edit costs what it changes, amortised.
+//! An *entry* is one occurrence of a node: most nodes have one; a node at or below the target of [`Core::Instance`] has
+//! one more per instance. Entries are stored in preorder, so a subtree is a contiguous range. An edit touches only what
+//! it changes: removed entries stay in the arrays, marked removed; an added subtree is appended at the end as a range
+//! of its own whose first entry refers to its parent. When removed and appended entries exceed 1024 plus a quarter of
+//! the arrays, or as many nodes were added or reparented since the last update, all arrays are rebuilt in preorder; so
+//! edits cost O(entries changed), amortised.
 //!
-//! `entries` plants and removes, `propagate` computes what is inherited, `subtree_bounds` the world boxes of subtrees.
+//! `entries` adds and removes entries, `propagate` computes inherited values top down, `subtree_bounds` the world
+//! bounds of subtrees.
 
 mod entries;
 mod propagate;
@@ -25,59 +28,62 @@ use super::bit_set::BitSet;
 use super::core::CoreSlot;
 use super::node::Node;
 use super::store::Store;
-use super::validate::require_invariant;
 use super::{Core, CoreKey, GeometryKey, MaterialKey, NodeKey};
 use crate::Result;
+use crate::error::require_invariant;
 
-/// All nodes of a scene, flattened: a node's subtree is a range of indices that begins with the node's own, and the
-/// ranges of what was added below it since.
+/// All nodes of a scene, flattened: the subtree of an entry is a range of indices that begins with the entry, and the
+/// ranges that were appended below it since.
 ///
-/// Indices of entries stay as they are until [`generation`](Self::generation) changes; keys do not change at all.
-/// 256 bytes an entry, measured.
+/// Entry indices are stable until [`generation`](Self::generation) changes; node keys are always stable. 256 bytes per
+/// entry, measured.
 #[derive(Debug, Default)]
 pub struct Hierarchy {
     nodes: Vec<NodeKey>,
     parents: Vec<u32>,
     subtree_ends: Vec<u32>,
     properties: Vec<EntryProperties>,
-    placed: Vec<ResolvedEntry>,
-    /// One entry of each node: where it stands itself, if it does.
+    resolved: Vec<ResolvedEntry>,
+    /// For each node its own entry (not inside an instance) if it has one, else one of its instanced entries.
     first_entries: SecondaryMap<NodeKey, u32>,
-    /// The others, of nodes that are instanced.
+    /// All further entries of nodes that occur in instances.
     instanced_entries: HashMap<NodeKey, BTreeSet<u32>>,
-    /// The starts of the grafts below each entry that has some; dead ones start with a gap.
+    /// Start indices of the ranges appended below each entry; a range whose first entry is removed is unused.
     appended_subtrees: BTreeMap<u32, Vec<u32>>,
-    /// Entries in grafts.
+    /// Number of entries in appended ranges.
     appended_count: usize,
-    gaps: Vec<u32>,
+    /// Removed entries, oldest first.
+    removed: Vec<u32>,
     generation: u64,
     pending: PendingUpdates,
     subtree_bounds: Option<SubtreeBounds>,
 }
 
-/// An entry in the world.
+/// The values of an entry after inheritance from its ancestors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ResolvedEntry {
-    /// `world_from_local`: the node's own transform applied, if it has one. Not finite where the product overflows.
+    /// World matrix, including the node's own transform. Contains non-finite numbers if the product of transforms
+    /// overflows f64.
     pub world_from_local: DAffine3,
-    /// The material of the outermost material group at or above it.
+    /// The material of the outermost material group at or above the entry.
     pub material: Option<MaterialKey>,
-    /// Its own mask AND those of all above it.
+    /// The AND of the ray masks from the root to the entry.
     pub mask: u32,
-    /// Whether it and all above it are visible and chosen by their switches. (Levels of detail depend on the view.)
+    /// Whether the entry and all above it are visible and selected by their switches. Level-of-detail selection is not
+    /// included: it depends on the viewpoint.
     pub visible: bool,
 }
 
-/// Which appearance of a node: the instances through which it is seen, and the node.
+/// Identifies one occurrence of a node: the chain of instance nodes that lead to it, and the node.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub struct NodePath {
-    /// The nodes with [`Core::Instance`] on the way from the root, outermost first; empty where the node itself stands.
+    /// The nodes with [`Core::Instance`] on the path from the root, outermost first; empty for the node's own entry.
     pub instances: Vec<NodeKey>,
     /// The node.
     pub node: NodeKey,
 }
 
-/// What an entry contributes to itself and to all below it.
+/// The entry's own values, before inheritance.
 #[derive(Clone, Copy, Debug)]
 struct EntryProperties {
     local: DAffine3,
@@ -85,29 +91,30 @@ struct EntryProperties {
     mask: u32,
     visible: bool,
     has_transform: bool,
-    /// Whether the switch above it, if there is one, shows it.
+    /// Whether its parent, if that is a switch, selects it.
     selected: bool,
-    /// Whether it is there because the entry above it instances its node.
+    /// Whether it is the root of an instanced subtree: its parent entry's core is an instance of its node.
     is_instance_root: bool,
-    /// Whether it or something above it is instanced.
+    /// Whether it lies in an instanced subtree.
     is_in_instance: bool,
 }
 
-/// What has to be done to catch up with the scene.
+/// Changes that the next [`update`](Hierarchy::update) must apply.
 #[derive(Debug, Default)]
 struct PendingUpdates {
+    /// Whether the arrays were built; until then, changes need not be recorded.
     is_built: bool,
-    /// Nodes that came or moved to other parents.
+    /// Nodes that were added or reparented.
     reattached: Vec<NodeKey>,
     /// Nodes whose core is or was an instance of another node.
     instances: BTreeSet<NodeKey>,
-    /// Nodes whose children may be chosen otherwise.
+    /// Switch nodes whose selection may have changed.
     switches: BTreeSet<NodeKey>,
-    /// Entries whose `own` is right already.
+    /// Entries whose own values are up to date but whose inherited values must be recomputed.
     dirty: BitSet,
 }
 
-/// The objects of the scene that a hierarchy shows.
+/// The objects of the scene that a hierarchy is built from.
 #[derive(Clone, Copy)]
 pub(super) struct SceneStores<'a> {
     pub(super) root: NodeKey,
@@ -126,23 +133,23 @@ impl<'a> SceneStores<'a> {
 
 /// Reading.
 impl Hierarchy {
-    /// The parent of the root: no index.
+    /// The parent index of the root entry.
     pub const NO_PARENT: u32 = u32::MAX;
 
-    /// Entries with what is instanced cannot be more than the nodes and this many: 4 GB.
+    /// Upper bound on entries beyond one per node: 2^24, about 4 GB.
     pub const MAX_INSTANCED: usize = 1 << 24;
 
-    /// Changes when indices of entries are no longer what they were.
+    /// Changes when the arrays are rebuilt, which changes the indices of entries.
     pub fn generation(&self) -> u64 {
         self.generation
     }
 
-    /// The node of each entry; a null key for a gap.
+    /// The node of each entry; a null key for a removed entry.
     pub fn nodes(&self) -> &[NodeKey] {
         &self.nodes
     }
 
-    /// Whether the entry was removed. A gap is not visible, and what else is said of it means nothing.
+    /// Whether the entry was removed. A removed entry is never visible; its other values are unspecified.
     ///
     /// # Panics
     /// If there is no entry at the index.
@@ -150,22 +157,23 @@ impl Hierarchy {
         self.nodes[entry].is_null()
     }
 
-    /// The index of the parent of each entry; [`NO_PARENT`](Self::NO_PARENT) for the root. Lower than the entry's own.
+    /// The index of the parent of each entry; [`NO_PARENT`](Self::NO_PARENT) for the root. A parent index is always
+    /// lower than its entry's.
     pub fn parents(&self) -> &[u32] {
         &self.parents
     }
 
-    /// Where each entry is.
+    /// The values of each entry after inheritance.
     pub fn resolved(&self) -> &[ResolvedEntry] {
-        &self.placed
+        &self.resolved
     }
 
-    /// The entries that became gaps, oldest first, since the [`generation`](Self::generation) began.
+    /// Entries removed in the current [`generation`](Self::generation), oldest first.
     pub fn removed_entries(&self) -> &[u32] {
-        &self.gaps
+        &self.removed
     }
 
-    /// Where the node itself stands, not through an instance; `None` if it is not in the scene. O(1).
+    /// The entry of the node itself (not of an instance of it); `None` if the node is not in the scene. O(1).
     pub fn entry(&self, node: NodeKey) -> Option<usize> {
         let entry = *self.first_entries.get(node)? as usize;
         (!self.properties[entry].is_in_instance).then_some(entry)
@@ -177,7 +185,7 @@ impl Hierarchy {
         self.first_entries.get(node).into_iter().chain(more).map(|&entry| entry as usize)
     }
 
-    /// Whether the entry is there because its parent instances its node.
+    /// Whether the entry is the root of an instanced subtree: its parent entry's core is an instance of its node.
     ///
     /// # Panics
     /// If there is no entry at the index.
@@ -185,18 +193,18 @@ impl Hierarchy {
         self.properties[entry].is_instance_root
     }
 
-    /// The world transform that the entry's own is applied to.
+    /// World matrix of the parent entry; the identity for the root.
     ///
     /// # Panics
     /// If there is no entry at the index.
     pub fn world_from_parent(&self, entry: usize) -> DAffine3 {
         match self.parents[entry] {
             Self::NO_PARENT => DAffine3::IDENTITY,
-            parent => self.placed[parent as usize].world_from_local,
+            parent => self.resolved[parent as usize].world_from_local,
         }
     }
 
-    /// Which appearance of its node the entry is. O(depth).
+    /// Which occurrence of its node the entry is. O(depth).
     ///
     /// # Panics
     /// If there is no entry at the index.
@@ -214,7 +222,7 @@ impl Hierarchy {
         NodePath { instances, node: self.nodes[entry] }
     }
 
-    /// The entries whose parent is this one, in no particular order. O(them and the gaps between them).
+    /// The entries whose parent is this one, in no particular order. O(children + removed entries between them).
     ///
     /// # Panics
     /// If there is no entry at the index.
@@ -226,7 +234,7 @@ impl Hierarchy {
         within.chain(self.appended_below(entry..entry + 1))
     }
 
-    /// The ranges of an entry and all below it, the entry's own first. Gaps may be among them.
+    /// The ranges of an entry and all below it, the entry's own first. They may contain removed entries.
     ///
     /// # Panics
     /// If there is no entry at the index.
@@ -241,27 +249,30 @@ impl Hierarchy {
         ranges
     }
 
-    /// The ranges of these entries and all below them, sorted and disjoint. O(n log n) of the entries given and the
-    /// grafts below them.
+    /// The ranges of these entries and all below them, ascending and disjoint. O(n log n) of the entries given and the
+    /// ranges appended below them.
     pub fn subtrees(&self, entries: impl IntoIterator<Item = usize>) -> Vec<Range<usize>> {
         let mut entries: Vec<usize> = entries.into_iter().collect();
         entries.par_sort_unstable();
         self.subtrees_from(entries)
     }
 
-    /// The same for entries in ascending order. Ranges that touch are one, unless the second is a graft.
+    /// As [`subtrees`](Self::subtrees) for ascending entries. Adjacent ranges are merged, unless the second was
+    /// appended.
     fn subtrees_from(&self, entries: impl IntoIterator<Item = usize>) -> Vec<Range<usize>> {
         let mut entries = entries.into_iter().peekable();
-        // Grafts lie behind what they are grafted to.
-        let mut grafts: BTreeSet<usize> = BTreeSet::new();
+        // Merges two ascending sequences: the entries given, and the appended ranges found below those taken so far. An
+        // appended range always has higher indices than its parent.
+        let mut appended: BTreeSet<usize> = BTreeSet::new();
         let mut ranges: Vec<Range<usize>> = Vec::new();
-        while let Some(start) = match (grafts.first(), entries.peek()) {
-            (Some(graft), Some(entry)) if graft <= entry => grafts.pop_first(),
-            (Some(_), None) => grafts.pop_first(),
+        while let Some(start) = match (appended.first(), entries.peek()) {
+            (Some(start), Some(entry)) if start <= entry => appended.pop_first(),
+            (Some(_), None) => appended.pop_first(),
             _ => entries.next(),
         } {
             let range = start..self.subtree_ends[start] as usize;
             match ranges.last_mut() {
+                // It lies in a range that was taken, and so does all below it.
                 Some(last) if start < last.end => continue,
                 Some(last) if start == last.end && (self.appended_subtrees.is_empty() || !self.is_appended(start)) => {
                     last.end = range.end;
@@ -269,24 +280,24 @@ impl Hierarchy {
                 _ => ranges.push(range.clone()),
             }
             if !self.appended_subtrees.is_empty() {
-                grafts.extend(self.appended_below(range));
+                appended.extend(self.appended_below(range));
             }
         }
         ranges
     }
 
-    /// Whether the entry stands apart from its parent's range.
+    /// Whether the entry lies outside the range of its parent.
     fn is_appended(&self, entry: usize) -> bool {
         self.subtree_ends.get(self.parents[entry] as usize).is_some_and(|&end| end as usize <= entry)
     }
 
-    /// The starts of the grafts that are attached to entries in a range.
+    /// The starts of the ranges appended below the entries of a range.
     fn appended_below(&self, range: Range<usize>) -> impl Iterator<Item = usize> {
-        let grafts = self.appended_subtrees.range(range.start as u32..range.end as u32).flat_map(|(_, starts)| starts);
-        grafts.map(|&start| start as usize).filter(|&start| !self.nodes[start].is_null())
+        let starts = self.appended_subtrees.range(range.start as u32..range.end as u32).flat_map(|(_, starts)| starts);
+        starts.map(|&start| start as usize).filter(|&start| !self.nodes[start].is_null())
     }
 
-    /// Whether it shows the scene as it is.
+    /// Whether all changes were applied.
     pub(super) fn is_up_to_date(&self) -> bool {
         let pending = &self.pending;
         pending.is_built
@@ -296,7 +307,7 @@ impl Hierarchy {
             && pending.switches.is_empty()
     }
 
-    /// Checks the arrays against each other, and against those that would be built now.
+    /// Checks the arrays for consistency, and compares every entry bit for bit with a hierarchy built from scratch.
     pub(super) fn validate(&self, tree: SceneStores<'_>) -> Result<()> {
         let mut fresh = Self::default();
         fresh.update(tree)?;
@@ -304,34 +315,33 @@ impl Hierarchy {
         for entry in (0..self.nodes.len()).filter(|&entry| !self.nodes[entry].is_null()) {
             let node = self.nodes[entry];
             let is_first = entries.insert(self.path(entry), entry).is_none();
-            require_invariant(is_first, node, "it appears twice in one place")?;
+            require_invariant(is_first, node, "it has two entries for one occurrence")?;
             require_invariant(self.entries(node).any(|e| e == entry), node, "the hierarchy does not find it")?;
             let parent = self.parents[entry];
             if parent != Self::NO_PARENT {
                 let parent = parent as usize;
-                let inside = (parent + 1..self.subtree_ends[parent] as usize).contains(&entry);
-                let grafted = self.appended_below(parent..parent + 1).any(|graft| graft == entry);
+                let is_inside = (parent + 1..self.subtree_ends[parent] as usize).contains(&entry);
+                let is_appended = self.appended_below(parent..parent + 1).any(|start| start == entry);
                 require_invariant(
-                    parent < entry && (inside || grafted),
+                    parent < entry && (is_inside || is_appended),
                     node,
                     "the hierarchy has it outside its parent",
                 )?;
             }
         }
-        let bits = |placed: &ResolvedEntry| placed.world_from_local.to_cols_array().map(f64::to_bits);
-        for (index, placed) in fresh.placed.iter().enumerate() {
+        let bits = |resolved: &ResolvedEntry| resolved.world_from_local.to_cols_array().map(f64::to_bits);
+        for (index, resolved) in fresh.resolved.iter().enumerate() {
             let path = fresh.path(index);
             let same = entries.remove(&path).is_some_and(|entry| {
-                let (own, world) = (self.placed[entry], DAffine3::IDENTITY);
-                bits(&own) == bits(placed)
+                let (own, world) = (self.resolved[entry], DAffine3::IDENTITY);
+                bits(&own) == bits(resolved)
                     && ResolvedEntry { world_from_local: world, ..own }
-                        == ResolvedEntry { world_from_local: world, ..*placed }
+                        == ResolvedEntry { world_from_local: world, ..*resolved }
             });
-            require_invariant(same, path.node, "the hierarchy shows it otherwise than it is")?;
+            require_invariant(same, path.node, "its entry differs from one built from scratch")?;
         }
-        entries
-            .keys()
-            .next()
-            .map_or(Ok(()), |path| require_invariant(false, path.node, "the hierarchy shows what is not there"))
+        entries.keys().next().map_or(Ok(()), |path| {
+            require_invariant(false, path.node, "it has an entry that one built from scratch has not")
+        })
     }
 }

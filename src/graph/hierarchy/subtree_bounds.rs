@@ -1,4 +1,4 @@
-//! World boxes of subtrees: a tree of blocks over the entries, of which a change touches one path.
+//! World bounds of subtrees: a 16-ary segment tree over the entries; updating one entry recomputes one path (O(log n)).
 
 use std::ops::Range;
 
@@ -6,14 +6,14 @@ use super::{Hierarchy, SceneStores};
 use crate::graph::bit_set::BitSet;
 use crate::math::Bounds;
 
-/// How many boxes of one level a box of the next level holds.
+/// How many boxes of one level a box of the next level encloses.
 const FAN_OUT: usize = 16;
 
-/// The boxes of 16 entries each, of 16 such blocks each, and so on. 4 bytes an entry.
+/// Level 0 has one box per 16 entries, each next level one per 16 boxes of the level below. About 3.2 bytes per entry.
 #[derive(Debug, Default)]
 pub(super) struct SubtreeBounds {
     levels: Vec<Vec<Bounds>>,
-    /// Blocks of the first level that are out of date.
+    /// Blocks of level 0 that must be recomputed.
     dirty: BitSet,
 }
 
@@ -26,8 +26,9 @@ impl SubtreeBounds {
         (range.start / FAN_OUT..range.end.div_ceil(FAN_OUT)).for_each(|block| self.dirty.insert(block));
     }
 
-    /// Brings all blocks up to date. O(dirty blocks).
+    /// Recomputes the dirty blocks and those that enclose them. O(dirty blocks).
     fn update(&mut self, entry_count: usize, entry_box: impl Fn(usize) -> Bounds) {
+        // 1. Resize the levels to the number of entries.
         let (mut len, mut level) = (entry_count, 0);
         while len > 1 || level == 0 {
             len = len.div_ceil(FAN_OUT);
@@ -37,6 +38,7 @@ impl SubtreeBounds {
             self.levels[level].resize(len, Bounds::EMPTY);
             level += 1;
         }
+        // 2. Recompute the dirty blocks level by level; each makes the block that encloses it dirty.
         let mut dirty = std::mem::take(&mut self.dirty);
         for level in 0..self.levels.len() {
             let mut above = BitSet::default();
@@ -56,11 +58,13 @@ impl SubtreeBounds {
         }
     }
 
-    /// The box of a range of entries. O(log n).
+    /// The box around a range of entries. O(log n).
     fn range(&self, range: Range<usize>, entry_box: impl Fn(usize) -> Bounds) -> Bounds {
         let (mut range, mut bounds) = (range, Bounds::EMPTY);
         let mut box_at: &dyn Fn(usize) -> Bounds = &entry_box;
         let mut of_level;
+        // On each level, add the boxes at both ends that no whole block covers, and go on with the blocks between them
+        // one level up.
         for level in &self.levels {
             let inner = range.start.div_ceil(FAN_OUT)..range.end / FAN_OUT;
             if inner.is_empty() {
@@ -81,8 +85,8 @@ fn union(range: Range<usize>, box_at: impl Fn(usize) -> Bounds) -> Bounds {
 }
 
 impl Hierarchy {
-    /// The box around the boxes of all geometry at and below an entry, shown or not. O(what changed since boxes were
-    /// asked for + log n); O(n) the first time.
+    /// The box around the boxes of all geometry at and below an entry, including hidden geometry. O(entries changed
+    /// since the last call + log n); O(n) the first time.
     pub(in crate::graph) fn world_bounds(&mut self, tree: SceneStores<'_>, entry: usize) -> Bounds {
         let mut boxes = self.subtree_bounds.take().unwrap_or_else(|| {
             let mut boxes = SubtreeBounds::default();
@@ -97,7 +101,7 @@ impl Hierarchy {
         bounds
     }
 
-    /// The geometry of a node has another box.
+    /// Notifies that the bounds of a node's geometry changed.
     pub(in crate::graph) fn geometry_bounds_changed(&mut self, node: crate::graph::NodeKey) {
         if let Some(mut boxes) = self.subtree_bounds.take() {
             self.entries(node).for_each(|entry| boxes.mark_entry(entry));
@@ -109,7 +113,7 @@ impl Hierarchy {
         let node = tree.nodes.get(self.nodes[entry]);
         let geometry = node.and_then(|node| tree.cores[node.core].core.geometry());
         geometry.map_or(Bounds::EMPTY, |geometry| {
-            tree.geometries[geometry].value.bounds.transformed(&self.placed[entry].world_from_local)
+            tree.geometries[geometry].value.bounds.transformed(&self.resolved[entry].world_from_local)
         })
     }
 }

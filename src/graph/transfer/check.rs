@@ -1,20 +1,20 @@
-//! Whether a delta fits a scene: everything is found out before anything is touched.
+//! Validation of a delta against a scene, before any change is made.
 
 use std::collections::{BTreeSet, HashMap, HashSet};
 
 use super::delta::Delta;
 use super::{NodeState, ObjectState};
-use crate::graph::scene::stale_key_error;
+use crate::error::{DeltaFault, Resource, RootEdit, require_within};
 use crate::graph::value_checks::{check_core, check_material, check_texture};
 use crate::graph::{Core, CoreKey, NodeKey, ObjectKey, Scene};
 use crate::{Error, Result};
 
-/// How many more slots than objects the keys of deltas that are not whole may make a scene have, all of them together. Between two reads of the log an
-/// honest scene may create and free many objects; a forged key must not make this scene allocate without bound.
+/// Limit on unused slots that partial deltas may create. A legitimate sender can skip slots (objects created and freed
+/// between two reads); a corrupt key must not cause an unbounded allocation.
 const MAX_SKIPPED_SLOTS: usize = 1 << 20;
 
-/// Checks all that must hold of the scene after the delta. Gives the nodes of the delta in an order in which they can
-/// be put after their siblings.
+/// Checks everything that must hold in the scene after the delta. Returns the nodes of the delta, each after its
+/// previous sibling.
 pub(super) fn check(scene: &Scene, delta: &Delta) -> Result<Vec<NodeKey>> {
     let after = SceneAfter { scene, delta };
     check_order(scene, delta)?;
@@ -30,38 +30,40 @@ pub(super) fn check(scene: &Scene, delta: &Delta) -> Result<Vec<NodeKey>> {
     after.check_cycles()?;
     match order_of_siblings(delta) {
         (order, None) => Ok(order),
-        (_, Some(node)) => Err(mismatch(node, "it is to come after itself")),
+        (_, Some(node)) => Err(mismatch(node, DeltaFault::SiblingCycle)),
     }
 }
 
-/// Checks that no object comes twice, and that no two are to have one slot.
+/// Checks that no object occurs twice, and that no two objects claim the same slot.
 fn check_order(scene: &Scene, delta: &Delta) -> Result<()> {
     if let Some(pair) = delta.objects.windows(2).find(|pair| pair[0].0 >= pair[1].0) {
-        return Err(mismatch(pair[1].0, "it comes twice, or out of order"));
+        return Err(mismatch(pair[1].0, DeltaFault::DuplicateObject));
     }
-    // Generations of one slot come one after the other.
-    let there = delta.objects.iter().filter(|(_, state)| state.is_some());
-    let slots = there.map(|&(object, _)| (object, std::mem::discriminant(&object), scene.slot_occupancy(object).0));
+    // Keys of one kind are ordered by slot, so that generations of one slot are adjacent.
+    let present = delta.objects.iter().filter(|(_, state)| state.is_some());
+    let slots = present.map(|&(object, _)| (object, std::mem::discriminant(&object), scene.slot_occupancy(object).0));
     let mut last = None;
     for (object, kind, slot) in slots {
         if last.replace((kind, slot)) == Some((kind, slot)) {
-            return Err(mismatch(object, "another object is to have its slot too"));
+            return Err(mismatch(object, DeltaFault::SharedSlot));
         }
     }
     Ok(())
 }
 
-/// The nodes of a delta, each after its previous sibling if that is in the delta too; and one that is to come after
-/// itself, if there is any. O(nodes).
+/// The nodes of a delta, each after its previous sibling if that is in the delta too; and a node on a cycle of
+/// previous-sibling links, if any. O(nodes).
 pub(super) fn order_of_siblings(delta: &Delta) -> (Vec<NodeKey>, Option<NodeKey>) {
     let (mut order, mut circular) = (Vec::new(), None);
     let mut seen = HashSet::new();
     let mut chain = Vec::new();
     for (object, state) in delta.objects() {
+        // Follow the previous siblings up to one that is in order already or not in the delta; append the chain in
+        // reverse.
         let mut next = Some((object, state));
         while let Some((ObjectKey::Node(node), Some(ObjectState::Node(state)))) = next {
             if !seen.insert(node) {
-                // Already in order, unless this very chain has come around.
+                // In order already, unless it is in this chain: then the chain is a cycle.
                 circular = circular.or_else(|| chain.contains(&node).then_some(node));
                 break;
             }
@@ -74,7 +76,7 @@ pub(super) fn order_of_siblings(delta: &Delta) -> (Vec<NodeKey>, Option<NodeKey>
     (order, circular)
 }
 
-/// A scene as it will be after a delta.
+/// Read-only view of a scene with a delta applied.
 struct SceneAfter<'a> {
     scene: &'a Scene,
     delta: &'a Delta,
@@ -86,7 +88,7 @@ impl SceneAfter<'_> {
     }
 
     fn require_object(&self, object: ObjectKey) -> Result<()> {
-        if self.has(object) { Ok(()) } else { Err(stale_key_error(object)) }
+        if self.has(object) { Ok(()) } else { Err(Error::StaleKey { object }) }
     }
 
     fn parent(&self, node: NodeKey) -> Option<NodeKey> {
@@ -101,13 +103,13 @@ impl SceneAfter<'_> {
         match self.delta.get(core.into()) {
             Some(Some(ObjectState::Core(core))) => Some(core),
             Some(_) => None,
-            None => self.scene.core_by_key(core).ok(),
+            None => self.scene.core(core).ok(),
         }
     }
 
     fn check_state(&self, object: ObjectKey, state: &ObjectState) -> Result<()> {
         if !state.matches_kind(object) {
-            return Err(mismatch(object, "its state is that of another kind of object"));
+            return Err(mismatch(object, DeltaFault::KindMismatch));
         }
         if !self.scene.contains_object(object) {
             self.check_key(object)?;
@@ -129,16 +131,16 @@ impl SceneAfter<'_> {
         }
     }
 
-    /// Whether an object that the scene has not can get its key.
+    /// Checks that a new object's key can be used: its slot is free and within the limit.
     fn check_key(&self, object: ObjectKey) -> Result<()> {
         let (slot, occupant, slot_count) = self.scene.slot_occupancy(object);
         if slot == 0 || slot >= u32::MAX as usize {
-            return Err(mismatch(object, "no scene gives out its key"));
+            return Err(mismatch(object, DeltaFault::InvalidKey));
         }
         if occupant.is_some_and(|occupant| self.has(occupant)) {
-            return Err(mismatch(object, "another object has its slot"));
+            return Err(mismatch(object, DeltaFault::SlotTaken));
         }
-        let given_out = self.delta.snapshot_generations.as_ref().map_or(0, |generations| match object {
+        let issued = self.delta.snapshot_generations.as_ref().map_or(0, |generations| match object {
             ObjectKey::Node(_) => generations.nodes.len(),
             ObjectKey::Core(_) => generations.cores.len(),
             ObjectKey::Geometry(_) => generations.geometries.len(),
@@ -153,20 +155,16 @@ impl SceneAfter<'_> {
             ObjectKey::Texture(_) => self.scene.texture_count(),
         };
         let skippable = if self.delta.is_snapshot() { 0 } else { MAX_SKIPPED_SLOTS };
-        let limit = slot_count.max(given_out).max(live + skippable);
-        if slot < limit {
-            return Ok(());
-        }
-        let hint = "; the delta is damaged, or so many objects came and went since the last that a whole one is needed";
-        Err(Error::Limit { what: "a key's slot in a delta", needed: slot as u64, limit: limit as u64, hint })
+        let limit = slot_count.max(issued).max(live + skippable);
+        require_within(Resource::KeySlots, slot as u64 + 1, limit as u64)
     }
 
     fn check_node(&self, object: ObjectKey, node: &NodeState) -> Result<()> {
         let is_root = object == self.scene.root.into();
         match (node.parent, node.previous_sibling) {
             (None, None) if is_root => Ok(()),
-            (_, _) if is_root => Err(Error::Root { attempt: "moved" }),
-            (None, _) => Err(mismatch(object, "it is to have no parent, as only the root has")),
+            (_, _) if is_root => Err(Error::Root { attempt: RootEdit::Move }),
+            (None, _) => Err(mismatch(object, DeltaFault::NoParent)),
             (Some(parent), previous) => {
                 self.require_object(parent.into())?;
                 let Some(previous) = previous else { return Ok(()) };
@@ -174,21 +172,22 @@ impl SceneAfter<'_> {
                 if self.parent(previous) == Some(parent) {
                     Ok(())
                 } else {
-                    Err(mismatch(object, "it is to come after a node with another parent"))
+                    Err(mismatch(object, DeltaFault::SiblingElsewhere))
                 }
             }
         }
     }
 
-    /// Whether nothing stays below a node that goes. (That nothing goes below it, its new children's states tell.)
+    /// Checks that a removed node keeps no child. (New children are covered by [`check_node`](Self::check_node): their
+    /// parent must exist.)
     fn check_removal(&self, object: ObjectKey) -> Result<()> {
         let ObjectKey::Node(node) = object else { return Ok(()) };
         if node == self.scene.root {
-            return Err(Error::Root { attempt: "removed" });
+            return Err(Error::Root { attempt: RootEdit::Remove });
         }
         let mut children = self.scene.children(node).into_iter().flatten();
         match children.find(|&child| self.delta.get(child.into()).is_none()) {
-            Some(child) => Err(mismatch(child, "its parent is to go, but it is to stay")),
+            Some(child) => Err(mismatch(child, DeltaFault::ChildStays)),
             None => Ok(()),
         }
     }
@@ -200,21 +199,25 @@ impl SceneAfter<'_> {
         };
         match self.core(core) {
             Some(Core::Group) => Ok(()),
-            _ => Err(Error::Root { attempt: "given a core other than a group" }),
+            Some(other) => Err(Error::Root { attempt: RootEdit::SetCore(other.kind()) }),
+            None => Err(mismatch(core, DeltaFault::StillUsed)),
         }
     }
 
-    /// Whether all users of what goes go too, or use something else.
+    /// Checks that every removed object is no longer referenced.
     fn check_references(&self) -> Result<()> {
         if self.delta.objects.iter().all(|(_, state)| state.is_some()) {
             return Ok(());
         }
+        // 1. Count the references to removed objects by the old states of the delta's objects. None of the new states
+        //    has any: that was checked.
         let mut ended_uses: HashMap<ObjectKey, usize> = HashMap::new();
         for old in self.delta.objects.iter().filter_map(|&(object, _)| self.scene.state(object)) {
             for used in old.references().into_iter().filter(|&used| matches!(self.delta.get(used), Some(None))) {
                 *ended_uses.entry(used).or_default() += 1;
             }
         }
+        // 2. An object with more users than that is still referenced.
         for (object, _) in
             self.delta.objects().filter(|(object, state)| state.is_none() && self.scene.contains_object(*object))
         {
@@ -226,52 +229,53 @@ impl SceneAfter<'_> {
                 ObjectKey::Texture(key) => self.scene.textures[key].user_count,
             };
             if user_count != ended_uses.get(&object).copied().unwrap_or(0) {
-                return Err(mismatch(object, "it is to go, but something still uses it"));
+                return Err(mismatch(object, DeltaFault::StillUsed));
             }
         }
         Ok(())
     }
 
-    /// Whether no two nodes are to come after the same one.
+    /// Checks that no two nodes have the same previous sibling.
     fn check_siblings(&self) -> Result<()> {
-        let mut places = HashSet::new();
+        let mut positions = HashSet::new();
         for (object, state) in self.delta.objects() {
             if let Some(ObjectState::Node(node)) = state
-                && !places.insert((node.parent, node.previous_sibling))
+                && !positions.insert((node.parent, node.previous_sibling))
             {
-                return Err(mismatch(object, "another node is to have its place among its siblings"));
+                return Err(mismatch(object, DeltaFault::SiblingTwice));
             }
         }
         Ok(())
     }
 
-    /// Whether no node comes to be below itself, or to be shown by an instance below it. O(all above what moves), and
-    /// O(instances) if there are any.
+    /// Checks that no node is below itself, through parents or through instances. O(ancestors of the nodes with new
+    /// links), and O(instances) if there are any.
     fn check_cycles(&self) -> Result<()> {
         enum Visit {
             Enter(NodeKey),
             Leave(NodeKey),
         }
         let starts = self.nodes_with_new_links();
-        let shown_by = if starts.is_empty() { HashMap::new() } else { self.instancing_nodes() };
-        let (mut done, mut path) = (HashSet::new(), HashSet::new());
+        let instancing = if starts.is_empty() { HashMap::new() } else { self.instancing_nodes() };
+        // Depth-first search up the ancestors: the path holds the nodes entered and not left yet, each a parent of the
+        // one before it, so that a node that is entered again closes a cycle.
+        let (mut done, mut on_path, mut path) = (HashSet::new(), HashSet::new(), Vec::new());
         for start in starts {
-            let mut open = vec![Visit::Enter(start)];
-            while let Some(visit) = open.pop() {
+            let mut stack = vec![Visit::Enter(start)];
+            while let Some(visit) = stack.pop() {
                 match visit {
                     Visit::Leave(node) => {
-                        path.remove(&node);
+                        path.pop();
+                        on_path.remove(&node);
                         done.insert(node);
                     }
                     Visit::Enter(node) if done.contains(&node) => {}
-                    Visit::Enter(node) if !path.insert(node) => {
-                        return Err(Error::Cycle { node: start.into(), parent: node.into() });
-                    }
+                    Visit::Enter(node) if !on_path.insert(node) => return Err(self.cycle_error(&path, node)),
                     Visit::Enter(node) => {
-                        open.push(Visit::Leave(node));
-                        let above =
-                            self.parent(node).into_iter().chain(shown_by.get(&node).into_iter().flatten().copied());
-                        open.extend(above.map(Visit::Enter));
+                        path.push(node);
+                        stack.push(Visit::Leave(node));
+                        let instances = instancing.get(&node).into_iter().flatten().copied();
+                        stack.extend(self.parent(node).into_iter().chain(instances).map(Visit::Enter));
                     }
                 }
             }
@@ -279,29 +283,46 @@ impl SceneAfter<'_> {
         Ok(())
     }
 
-    /// Of each new link between a node and its parent or its instance, the node. Each cycle has one.
+    /// The error of the cycle that `path` closes at `first`, one of its nodes: it names a link that the delta adds,
+    /// which each cycle has.
+    fn cycle_error(&self, path: &[NodeKey], first: NodeKey) -> Error {
+        let cycle = path.iter().copied().skip_while(|&node| node != first);
+        let mut links: Vec<(NodeKey, NodeKey)> = cycle.clone().zip(cycle.skip(1).chain([first])).collect();
+        links.sort_by_key(|&(node, parent)| self.has_old_link(node, parent));
+        let (node, parent) = links.first().copied().unwrap_or((first, first));
+        Error::Cycle { node, parent }
+    }
+
+    /// Whether the scene before the delta has this link, by parent or by instance.
+    fn has_old_link(&self, node: NodeKey, parent: NodeKey) -> bool {
+        self.scene.nodes.get(node).is_some_and(|old| old.parent == Some(parent))
+            || self.scene.node_core(parent).is_ok_and(|core| core.instance_target() == Some(node))
+    }
+
+    /// The child ends of all new parent and instance links: every new cycle contains one of them.
     fn nodes_with_new_links(&self) -> Vec<NodeKey> {
-        let mut ends = Vec::new();
+        let mut children = Vec::new();
         for (object, state) in self.delta.objects() {
             match (object, state) {
                 (ObjectKey::Node(key), Some(ObjectState::Node(state))) => {
                     let old = self.scene.nodes.get(key);
                     if old.is_none_or(|old| old.parent != state.parent) {
-                        ends.push(key);
+                        children.push(key);
                     }
                     if old.is_none_or(|old| old.core != state.core) {
-                        ends.extend(self.core(state.core).and_then(Core::instance_target));
+                        children.extend(self.core(state.core).and_then(Core::instance_target));
                     }
                 }
-                (_, Some(ObjectState::Core(core))) => ends.extend(core.instance_target()),
+                (_, Some(ObjectState::Core(core))) => children.extend(core.instance_target()),
                 _ => {}
             }
         }
-        ends
+        children
     }
 
-    /// The nodes with cores that instance each node.
+    /// By instance target: the nodes whose cores instance it.
     fn instancing_nodes(&self) -> HashMap<NodeKey, Vec<NodeKey>> {
+        // 1. The targets of all instance cores after the delta.
         let old = self.scene.instancers.values().flatten().copied();
         let new = self.delta.objects().filter_map(|(object, _)| match object {
             ObjectKey::Core(key) => Some(key),
@@ -311,10 +332,11 @@ impl SceneAfter<'_> {
         let targets: HashMap<CoreKey, NodeKey> =
             cores.filter_map(|key| Some((key, self.core(key)?.instance_target()?))).collect();
 
-        let stays = |user: &NodeKey| self.delta.get((*user).into()).is_none();
+        // 2. The users of these cores after the delta: old users that the delta does not name, and its own nodes.
+        let is_unchanged = |user: &NodeKey| self.delta.get((*user).into()).is_none();
         let old = targets.keys().flat_map(|&key| {
             let users = self.scene.users(key).into_iter().flatten();
-            users.filter(stays).map(move |user| (user, key))
+            users.filter(is_unchanged).map(move |user| (user, key))
         });
         let new = self.delta.objects().filter_map(|(object, state)| match (object, state) {
             (ObjectKey::Node(key), Some(ObjectState::Node(state))) => Some((key, state.core)),
@@ -330,6 +352,6 @@ impl SceneAfter<'_> {
     }
 }
 
-fn mismatch(object: impl Into<ObjectKey>, what: &'static str) -> Error {
-    Error::Delta { object: object.into(), what }
+fn mismatch(object: impl Into<ObjectKey>, cause: DeltaFault) -> Error {
+    Error::Delta { object: object.into(), cause }
 }

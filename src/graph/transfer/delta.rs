@@ -1,4 +1,4 @@
-//! Deltas: what some objects, or all, are to be.
+//! Deltas: target states of scene objects.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,18 +7,18 @@ use super::check::check;
 use crate::Result;
 use crate::graph::{Change, ChangeCursor, Changes, ObjectKey, Scene};
 
-/// What some objects are to be: each in a given state, or absent. Says it of all objects if it is
-/// [whole](Self::is_snapshot).
+/// Target states (or absence) of some objects; of all objects if it is a [snapshot](Self::is_snapshot).
 ///
-/// It comes from [`Scene::delta_since`] or [`Scene::snapshot`], and goes to [`Scene::apply`]. In between it can cross
-/// threads, where it shares the arrays of geometries and textures with its scene, or be serialised with serde.
+/// It is made by [`Scene::delta_since`] or [`Scene::snapshot`] and applied by [`Scene::apply`]. In between it can be
+/// sent to another thread, where it shares the arrays of geometries and textures with its scene, or be serialised with
+/// serde.
 ///
-/// Not guaranteed: that one from elsewhere makes sense. [`Scene::apply`] checks all of it.
+/// A delta from an untrusted source may be invalid; [`Scene::apply`] validates it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Delta {
-    /// Rising, each object once. Keys order as their slots within a kind.
+    /// In ascending order of keys, each object once. Keys of one kind are ordered by slot.
     pub(super) objects: Vec<(ObjectKey, Option<ObjectState>)>,
-    /// Where it is whole: what keys the scene has given out.
+    /// For a snapshot: the highest generation issued per slot.
     pub(super) snapshot_generations: Option<Generations>,
 }
 
@@ -33,43 +33,45 @@ pub(super) struct Generations {
 }
 
 impl Delta {
-    /// Sorts what is to become of each object.
+    /// A delta of these objects, in any order, each at most once.
     pub(super) fn new(objects: impl IntoIterator<Item = (ObjectKey, Option<ObjectState>)>) -> Self {
         let mut objects: Vec<_> = objects.into_iter().collect();
         objects.sort_unstable_by_key(|&(object, _)| object);
         Self { objects, snapshot_generations: None }
     }
 
-    /// Whether it says what the whole scene is to be: what it does not name is to be absent.
+    /// Whether it is a snapshot: the target state of the whole scene, in which an object that it does not name is
+    /// absent.
     pub fn is_snapshot(&self) -> bool {
         self.snapshot_generations.is_some()
     }
 
-    /// Number of objects that it names.
+    /// Number of objects with a target state or absence.
     pub fn len(&self) -> usize {
         self.objects.len()
     }
 
-    /// Whether it names no object.
+    /// Whether it has no objects.
     pub fn is_empty(&self) -> bool {
         self.objects.is_empty()
     }
 
-    /// The objects that it names, by rising keys of each kind, and what each is to be: `None` for absent.
+    /// Its objects, in ascending order of keys within each kind, with their target states: `None` for absent.
     pub fn objects(&self) -> impl Iterator<Item = (ObjectKey, Option<&ObjectState>)> {
         self.objects.iter().map(|(object, state)| (*object, state.as_ref()))
     }
 
-    /// What an object is to be: `None` if the delta does not name it. O(log objects).
+    /// The target state of an object: `None` if the delta does not have the object. O(log objects).
     pub(super) fn get(&self, object: ObjectKey) -> Option<&Option<ObjectState>> {
-        let place = self.objects.binary_search_by_key(&object, |&(object, _)| object).ok()?;
-        Some(&self.objects[place].1)
+        let index = self.objects.binary_search_by_key(&object, |&(object, _)| object).ok()?;
+        Some(&self.objects[index].1)
     }
 }
 
 /// State transfer.
 impl Scene {
-    /// The whole scene, as a delta that makes any scene equal to it. O(objects): arrays are shared, not copied.
+    /// The state of the whole scene, as a delta that makes any scene equal to it. O(objects): arrays are shared, not
+    /// copied.
     pub fn snapshot(&self) -> Delta {
         let mut delta = Delta::new(self.objects().map(|object| (object, self.state(object))));
         delta.snapshot_generations = Some(Generations {
@@ -82,37 +84,37 @@ impl Scene {
         delta
     }
 
-    /// What has changed since the last read with this cursor, as it is now; moves the cursor to now. The first time,
-    /// the whole scene. O(changes since), of which one object's many count once; O(objects) the first time.
+    /// The current state of every object changed since the cursor's last read; a snapshot at the first read. Advances
+    /// the cursor. O(objects changed since); O(objects) the first time.
     ///
-    /// [Applied](Self::apply) to a second scene, delta after delta, they keep that one equal: a mirror, in this process
-    /// or in another. Its keys are those of this scene.
+    /// [Applied](Self::apply) to a second scene, delta after delta, they keep that scene equal: a replica, in this
+    /// process or in another. Its keys are those of this scene.
     ///
     /// ```
-    /// use ropewalk::{Core, Cursor, Delta, Scene};
+    /// use ropewalk::{ChangeCursor, Core, Delta, Scene};
     ///
-    /// let (mut scene, mut mirror) = (Scene::new(), Scene::new());
-    /// let mut cursor = Cursor::default();
+    /// let (mut scene, mut replica) = (Scene::new(), Scene::new());
+    /// let mut cursor = ChangeCursor::default();
     /// let node = scene.add(scene.root(), Core::Group)?;
-    /// mirror.apply(&scene.delta_since(&mut cursor))?;
+    /// replica.apply(&scene.delta_since(&mut cursor))?;
     ///
     /// scene.set_name(node, "arm")?;
     /// // Through any serde format, to any machine.
     /// let bytes = serde_json::to_vec(&scene.delta_since(&mut cursor)).unwrap();
     /// let delta: Delta = serde_json::from_slice(&bytes).unwrap();
     /// assert_eq!(delta.len(), 1);
-    /// mirror.apply(&delta)?;
-    /// assert_eq!(mirror.name(node)?, "arm");
-    /// assert_eq!(mirror.snapshot(), scene.snapshot());
+    /// replica.apply(&delta)?;
+    /// assert_eq!(replica.name(node)?, "arm");
+    /// assert_eq!(replica.snapshot(), scene.snapshot());
     /// # Ok::<(), ropewalk::Error>(())
     /// ```
     ///
-    /// A replica in a thread of its own can be drawn while the application edits on, and neither waits for the other:
+    /// A replica in another thread can be rendered while the application keeps editing, without locking:
     ///
     /// ```
     /// use std::sync::mpsc;
     ///
-    /// use ropewalk::{Core, Cursor, Delta, DeviceChoice, Renderer, RendererOptions, Scene, View};
+    /// use ropewalk::{ChangeCursor, Core, Delta, DeviceChoice, Renderer, RendererOptions, Scene, View};
     ///
     /// let (deltas, received) = mpsc::channel::<Delta>();
     /// let renderer = std::thread::spawn(move || -> ropewalk::Result<usize> {
@@ -129,7 +131,7 @@ impl Scene {
     ///     Ok(replica.node_count())
     /// });
     ///
-    /// let (mut scene, mut cursor) = (Scene::new(), Cursor::default());
+    /// let (mut scene, mut cursor) = (Scene::new(), ChangeCursor::default());
     /// for _frame in 0..10 {
     ///     scene.add(scene.root(), Core::Group)?;
     ///     deltas.send(scene.delta_since(&mut cursor)).expect("the renderer listens");
@@ -139,39 +141,39 @@ impl Scene {
     /// # Ok::<(), ropewalk::Error>(())
     /// ```
     ///
-    /// Not guaranteed: equality where the mirror is also edited itself. Keys of objects that came and went between two
-    /// reads are not known to it as given out.
+    /// Limits: the replica must not be edited itself; and it may reissue keys of objects that were created and freed
+    /// between two reads.
     pub fn delta_since(&mut self, cursor: &mut ChangeCursor) -> Delta {
         match self.changes_since(cursor) {
             Changes::Everything => self.snapshot(),
             Changes::Since(changes) => {
-                // The children say themselves where they are.
+                // CHILDREN needs no entry: the states of the children name their parent and previous sibling.
                 let changes = changes.into_iter().filter(|(_, change)| *change != Change::CHILDREN);
                 Delta::new(changes.map(|(object, change)| {
-                    let is_gone = change.contains(Change::REMOVED);
-                    (object, if is_gone { None } else { self.state(object) })
+                    let is_removed = change.contains(Change::REMOVED);
+                    (object, if is_removed { None } else { self.state(object) })
                 }))
             }
         }
     }
 
-    /// Makes each object that the delta names be as it says, under the same key; if it is whole, with nothing else in
-    /// the scene. O(objects in the delta, with the vertices and texels of new ones), and O(depth) to find cycles where
-    /// nodes moved; O(objects) for a whole one.
+    /// Applies the delta atomically: each object gets its target state under the same key; with a snapshot, all other
+    /// objects are removed. O(objects in the delta, with the vertices and texels of new ones), and O(depth) to find
+    /// cycles if nodes moved; O(objects) for a snapshot.
     ///
-    /// All of it is checked, whoever made it. What changes is logged as any edit is, undo takes it back, and an object
-    /// that already is as it should be is left alone. Nothing is freed that the delta does not name: a core whose last
-    /// user it removes stays, unless it removes that too.
+    /// The delta is validated, whatever its source. Changes are logged and can be undone like any edit; an object that
+    /// has its target state already is not changed. Objects that lose their last user are freed only if the delta says
+    /// so.
     ///
     /// # Errors
     /// The scene stays as it was.
-    /// - [`Error::Delta`](crate::Error::Delta) with the first object whose state does not fit the scene: most often
-    ///   the delta was made for another state of the scene than this one is in.
-    /// - [`Error::StaleKey`](crate::Error::StaleKey) for what some object is to refer to.
+    /// - [`Error::Delta`](crate::Error::Delta) with the first object whose target state does not fit the scene: most
+    ///   often the delta was made for another state of the scene.
+    /// - [`Error::StaleKey`](crate::Error::StaleKey) for a key in a target state.
     /// - [`Error::Cycle`](crate::Error::Cycle), [`Error::Root`](crate::Error::Root),
     ///   [`Error::OutOfRange`](crate::Error::OutOfRange), [`Error::InvalidGeometry`](crate::Error::InvalidGeometry) as
     ///   the setters.
-    /// - [`Error::Limit`](crate::Error::Limit) where a key's slot is far beyond those in use.
+    /// - [`Error::Limit`](crate::Error::Limit) if a key's slot is far beyond those in use.
     pub fn apply(&mut self, delta: &Delta) -> Result<()> {
         let Some(generations) = &delta.snapshot_generations else {
             return self.apply_objects(delta);

@@ -1,4 +1,5 @@
-//! Scene files: a header, then frames, each a checked and checksummed delta. `docs/FILE_FORMAT.md` has the layout.
+//! Scene files: a header and one or more frames; each frame is a delta with length and CRC-32. `docs/FILE_FORMAT.md`
+//! has the layout.
 
 use std::io::{self, Read, Write};
 use std::path::Path;
@@ -8,17 +9,17 @@ use crate::atomic_file::write_atomically;
 use crate::graph::Scene;
 use crate::{Error, Result};
 
-/// What a scene file or recording begins with.
+/// The first bytes of a scene file or recording.
 const MAGIC: [u8; 8] = *b"ROPEWALK";
 
 /// The version of the format: the only one that is read.
 const VERSION: u32 = 2;
 
 /// What is wrong with a scene file or recording.
-#[derive(Debug, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SceneFileError {
-    /// It does not begin as such a file does.
+    /// It does not begin with the header of such a file.
     #[error("this is not a Ropewalk scene or recording")]
     NotAScene,
     /// A later version of Ropewalk wrote it.
@@ -29,7 +30,7 @@ pub enum SceneFileError {
         /// The newest that can be read.
         supported: u32,
     },
-    /// A version of Ropewalk wrote it whose format is not read any more.
+    /// A version of Ropewalk wrote it whose format is no longer read.
     #[error("format version {found} is older than {supported}, the oldest that this version of Ropewalk reads")]
     Older {
         /// The version of its format.
@@ -37,37 +38,37 @@ pub enum SceneFileError {
         /// The oldest that can be read.
         supported: u32,
     },
-    /// It ends too early: the copy is incomplete, or the program that wrote it was ended.
-    #[error("the file ends within it")]
+    /// It ends within a frame: an incomplete copy, or the writing program was terminated.
+    #[error("the file ends within the frame")]
     Truncated,
     /// Its content is not what was written.
     #[error("its checksum is {found:08x}, not {expected:08x}: the file is damaged")]
     Checksum {
-        /// As the file says.
+        /// The checksum in the file.
         expected: u32,
-        /// As its content says.
+        /// The checksum of its content.
         found: u32,
     },
     /// It is not the serialised form of a delta.
     #[error("it cannot be decoded: {cause}")]
     Encoding {
-        /// What the decoder said.
+        /// The decoder's message.
         cause: String,
     },
-    /// It can be read, but does not fit the scene before it.
+    /// The delta was decoded but cannot be applied to the scene.
     #[error("{0}")]
     Mismatch(Box<Error>),
 }
 
 /// Files.
 impl Scene {
-    /// Writes the whole scene to a file. [`load`](Self::load) gives it back, its keys included; saved again it is the
+    /// Writes the whole scene to a file. [`load`](Self::load) restores it, its keys included; saved again it is the
     /// same file, byte for byte. O(scene).
     ///
-    /// What is saved is what [`snapshot`](Self::snapshot) has: not what undo knows, nor cursors. Arrays that several
-    /// geometries share are written for each.
+    /// The content is that of [`snapshot`](Self::snapshot). Undo history and cursors are not saved. Arrays shared by
+    /// several geometries are written once per geometry.
     ///
-    /// The file appears whole or not at all: it is written beside its place under another name and then moved.
+    /// The write is atomic: a temporary file in the same folder is written and then renamed.
     ///
     /// ```
     /// use ropewalk::{Core, Scene};
@@ -86,24 +87,22 @@ impl Scene {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Io`]: most often the folder does not exist or may not be written to. An older file of that name stays
-    /// as it was.
+    /// [`Error::Io`]: most often the folder does not exist or may not be written to. An older file of that name is then
+    /// unchanged.
     pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
         let path = path.as_ref();
         let mut bytes = Vec::new();
         let written = write_header(&mut bytes).and_then(|()| write_frame(&mut bytes, &self.snapshot()));
-        written
-            .and_then(|()| write_atomically(path, &bytes))
-            .map_err(|source| Error::Io { path: path.to_owned(), source })
+        written.and_then(|()| write_atomically(path, &bytes)).map_err(|error| Error::io(path, error))
     }
 
     /// Reads a scene that was [saved](Self::save), or the last state in a [recording](super::Recorder). Keys of the
-    /// saved scene are valid for the loaded one, and those that were stale stay so. O(scene); memory in proportion to
-    /// the file's size, whatever is in it.
+    /// saved scene are valid for the loaded one, and stale keys remain stale. O(scene); memory in proportion to the
+    /// file's size, whatever its content.
     ///
     /// # Errors
-    /// [`Error::Io`] where the file cannot be read; [`Error::SceneFile`] where it is not such a file, is damaged, or is
-    /// from a later version. Nothing in a file is believed: what it says is checked as any edit is.
+    /// [`Error::Io`] if the file cannot be read; [`Error::SceneFile`] if it is not such a file, is damaged, or is of
+    /// another format version. The content is validated like any edit.
     pub fn load(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
         let mut replay = Replay::open(path)?;
@@ -126,15 +125,15 @@ pub(super) enum ReadError {
 impl ReadError {
     pub(super) fn at(self, path: &Path, frame: usize) -> Error {
         match self {
-            Self::Io(source) => Error::Io { path: path.to_owned(), source },
-            Self::File(fault) => Error::SceneFile { path: path.to_owned(), frame, source: fault },
+            Self::Io(error) => Error::io(path, error),
+            Self::File(source) => Error::SceneFile { path: path.to_owned(), frame, source },
         }
     }
 }
 
 impl From<SceneFileError> for ReadError {
-    fn from(fault: SceneFileError) -> Self {
-        Self::File(fault)
+    fn from(error: SceneFileError) -> Self {
+        Self::File(error)
     }
 }
 
@@ -169,7 +168,7 @@ pub(super) fn read_frame(file: &mut impl Read) -> Result<Option<Delta>, ReadErro
     let length = u64::from(u32_at(&head, 0)) | u64::from(u32_at(&head, 4)) << 32;
     let expected = u32_at(&head, 8);
 
-    // Allocates what there is, whatever the length says.
+    // Allocates only as much as the file contains, even if the length field is corrupt.
     let mut body = Vec::new();
     file.take(length).read_to_end(&mut body).map_err(ReadError::Io)?;
     if (body.len() as u64) < length {
@@ -186,7 +185,7 @@ pub(super) fn read_frame(file: &mut impl Read) -> Result<Option<Delta>, ReadErro
     }
 }
 
-/// Bytes of which there are all or, at the end of the file, none.
+/// The next `N` bytes; `None` at the end of the file.
 fn read_array<const N: usize>(file: &mut impl Read) -> Result<Option<[u8; N]>, ReadError> {
     let mut bytes = Vec::with_capacity(N);
     file.take(N as u64).read_to_end(&mut bytes).map_err(ReadError::Io)?;

@@ -1,4 +1,4 @@
-//! The journal: what objects were before they were edited, so that edits can be taken back.
+//! The journal: prior states of edited objects, for transactions and undo.
 
 use std::collections::HashMap;
 
@@ -8,13 +8,13 @@ use super::{Delta, ObjectState};
 use crate::Result;
 use crate::graph::{ObjectKey, Scene};
 
-/// What objects were before the first edit of each, `None` for absent.
+/// The states of objects before the first edit of each; `None` for absent.
 pub(super) type PriorStates = HashMap<ObjectKey, Option<ObjectState>>;
 
-/// What was before each open transaction, and before the edits that undo is going to take back.
+/// The prior states of each open transaction and of the current undo group, and the undo history.
 #[derive(Debug, Default)]
 pub(in crate::graph) struct Journal {
-    /// The innermost last.
+    /// Open transactions, the innermost last.
     transactions: Vec<PriorStates>,
     pub(super) history: Option<UndoHistory>,
 }
@@ -28,31 +28,31 @@ impl Journal {
         !self.transactions.is_empty()
     }
 
-    /// Where edits are noted now.
+    /// The map that records prior states at the moment: the innermost transaction's, else the current undo group's.
     fn innermost(&mut self) -> Option<&mut PriorStates> {
         self.transactions.last_mut().or_else(|| Some(self.history.as_mut()?.prior_states_mut()))
     }
 }
 
-/// Taking note, for all that edits.
+/// Recording; called by every edit.
 impl Scene {
-    /// Notes what an object is, unless that is known. To be called before each edit of an object. Costs a branch where
-    /// nobody wants to know.
+    /// Saves the object's state once, before its first edit. Must be called before every edit. One branch if neither a
+    /// transaction nor undo is active.
     pub(in crate::graph) fn save_prior_state(&mut self, object: impl Into<ObjectKey>) {
         if self.journal.is_active() {
             self.save_state_once(object.into());
         }
     }
 
-    /// Notes that an object that is here now was not before.
+    /// Records that an object, just added, was absent before.
     pub(in crate::graph) fn save_as_absent(&mut self, object: ObjectKey) {
         if let Some(before) = self.journal.innermost() {
             before.entry(object).or_insert(None);
         }
     }
 
-    /// Notes nothing of an object that is gone now and was not there before the group either: it only passed. (A
-    /// transaction does not last long enough for that to matter.)
+    /// Drops the record of an object that was created and removed within the current undo group. (In a transaction the
+    /// record stays; it is short-lived.)
     pub(in crate::graph) fn discard_transient(&mut self, object: ObjectKey) {
         if !self.journal.is_in_transaction()
             && let Some(before) = self.journal.innermost()
@@ -63,8 +63,8 @@ impl Scene {
     }
 
     fn save_state_once(&mut self, object: ObjectKey) {
-        let is_known = |before: &mut PriorStates| before.contains_key(&object);
-        if !self.journal.innermost().is_some_and(is_known) {
+        let is_saved = |before: &mut PriorStates| before.contains_key(&object);
+        if !self.journal.innermost().is_some_and(is_saved) {
             let state = self.state(object);
             if let Some(before) = self.journal.innermost() {
                 before.insert(object, state);
@@ -75,20 +75,20 @@ impl Scene {
 
 /// Transactions.
 impl Scene {
-    /// Runs edits, all or none: where they end with an error, or panic, all objects become again what they were, under
-    /// the keys they had. Transactions can be nested. Costs a copy of the state of each object edited, arrays shared.
+    /// Runs `edit` atomically: if it returns an error or panics, every object is restored under its key. Nestable.
+    /// Costs a copy of the state of each object edited, arrays shared.
     ///
-    /// What is taken back is logged as any edit is: who read the log in between reads that too.
+    /// The rollback is logged like any edit, so cursors read in between see it.
     ///
     /// ```
-    /// use ropewalk::{Core, Keep, Scene};
+    /// use ropewalk::{Core, KeepTransform, Scene};
     ///
     /// let mut scene = Scene::new();
     /// let arm = scene.add(scene.root(), Core::Group)?;
     /// let result = scene.transaction(|scene| {
     ///     let hand = scene.add(arm, Core::Group)?;
     ///     scene.set_name(arm, "arm")?;
-    ///     scene.reparent(arm, hand, Keep::Local)
+    ///     scene.reparent(arm, hand, KeepTransform::Local)
     /// });
     /// assert!(result.is_err(), "that would close a cycle");
     /// assert_eq!((scene.node_count(), scene.name(arm)?), (2, ""));
@@ -96,7 +96,7 @@ impl Scene {
     /// ```
     ///
     /// # Errors
-    /// Those of `edit`. Then the scene is as it was, but for its [`revision`](Self::revision).
+    /// Those of `edit`. Then the scene is as it was, except for its [`revision`](Self::revision).
     pub fn transaction<T>(&mut self, edit: impl FnOnce(&mut Self) -> Result<T>) -> Result<T> {
         self.journal.transactions.push(PriorStates::new());
         let mut transaction = Transaction { scene: self, is_done: false };
@@ -106,7 +106,7 @@ impl Scene {
     }
 }
 
-/// An open transaction. Whatever ends it, [`Drop`] sees it.
+/// An open transaction. [`Drop`] ends it in any case: it commits if `is_done`, else it rolls back.
 struct Transaction<'a> {
     scene: &'a mut Scene,
     is_done: bool,
@@ -124,21 +124,21 @@ impl Drop for Transaction<'_> {
 }
 
 impl Journal {
-    /// Makes a transaction that is done part of what is around it, which has seen none of its edits.
+    /// Merges the prior states of a committed transaction into the enclosing one or the undo group.
     fn merge_into_outer(&mut self, done: PriorStates) {
         if done.is_empty() {
             return;
         }
-        if let Some(around) = self.innermost() {
+        if let Some(outer) = self.innermost() {
             for (object, state) in done {
-                around.entry(object).or_insert(state);
+                outer.entry(object).or_insert(state);
             }
         }
     }
 }
 
 impl Scene {
-    /// Makes objects be what they were, without noting it.
+    /// Restores the states of objects, without recording it.
     pub(super) fn restore(&mut self, before: &Delta) {
         let journal = std::mem::take(&mut self.journal);
         self.write_states(before, &order_of_siblings(before).0);

@@ -1,8 +1,8 @@
 //! Moving a scene's state: between scenes, threads, points in time, and files.
 //!
-//! One mechanism serves all: a [`Delta`] says what some objects are to be, and [`Scene::apply`](super::Scene::apply)
-//! makes them so, all or none. A mirror applies what another scene's change log names; undo applies what objects were
-//! before; a file is the delta that makes all of them.
+//! All of it is built on [`Delta`]: target states of some or all objects, applied atomically by
+//! [`Scene::apply`](super::Scene::apply). A replica applies deltas made from another scene's change log; undo applies
+//! the states that objects had before; a scene file is a delta of the whole scene.
 
 mod check;
 mod delta;

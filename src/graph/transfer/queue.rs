@@ -1,4 +1,4 @@
-//! Edits from other threads: batches that are applied where the scene lives, each all or not at all.
+//! A queue of edit batches from other threads; each batch is applied as a transaction on the scene's thread.
 
 use std::sync::mpsc::{Receiver, Sender, channel};
 
@@ -7,8 +7,7 @@ use crate::{Error, Result};
 
 type Batch = Box<dyn FnOnce(&mut Scene) + Send>;
 
-/// Where the batches arrive: beside the scene, on its thread. Batches of one sender are applied in the order in which
-/// they were sent.
+/// Receives edit batches on the scene's thread. Batches of one sender are applied in the order in which they were sent.
 ///
 /// ```
 /// use ropewalk::{Core, EditQueue, Scene};
@@ -19,7 +18,7 @@ type Batch = Box<dyn FnOnce(&mut Scene) + Send>;
 /// let worker = std::thread::spawn(move || {
 ///     let added = sender.send(move |scene| {
 ///         let node = scene.add(root, Core::Group)?;
-///         scene.set_name(node, "from afar")?;
+///         scene.set_name(node, "made elsewhere")?;
 ///         Ok(node)
 ///     });
 ///     added.wait()
@@ -29,7 +28,7 @@ type Batch = Box<dyn FnOnce(&mut Scene) + Send>;
 ///     queue.apply(&mut scene);
 /// }
 /// let node = worker.join().expect("no panic")?;
-/// assert_eq!(scene.name(node)?, "from afar");
+/// assert_eq!(scene.name(node)?, "made elsewhere");
 /// # Ok::<(), ropewalk::Error>(())
 /// ```
 #[derive(Debug)]
@@ -51,49 +50,50 @@ impl EditQueue {
         Self { sender, receiver }
     }
 
-    /// A sender to it, for another thread.
+    /// A sender to this queue, for another thread.
     pub fn sender(&self) -> EditSender {
         EditSender { batches: self.sender.clone() }
     }
 
-    /// Applies the batches that have arrived, each in a [transaction](Scene::transaction) of its own: one that fails
-    /// leaves no trace, and its sender is told. Gives their number. Does not wait for more.
+    /// Applies all batches received so far, each as a [transaction](Scene::transaction); a failed batch is rolled back
+    /// and its error sent to the sender. Returns the number of batches. Does not block.
     pub fn apply(&self, scene: &mut Scene) -> usize {
-        // Not those that arrive meanwhile, or busy senders could hold a frame up forever.
-        let arrived: Vec<Batch> = self.receiver.try_iter().collect();
-        let count = arrived.len();
-        for batch in arrived {
+        // Take a fixed set: later batches wait for the next call, so that busy senders cannot block a frame.
+        let batches: Vec<Batch> = self.receiver.try_iter().collect();
+        let count = batches.len();
+        for batch in batches {
             batch(scene);
         }
         count
     }
 }
 
-/// Sends edits to the thread where the scene lives. Cheap to clone.
+/// Sends edit batches to the thread of the scene. Cheap to clone.
 #[derive(Clone, Debug)]
 pub struct EditSender {
     batches: Sender<Batch>,
 }
 
 impl EditSender {
-    /// Sends a batch of edits, to be applied whole or not at all when the scene's thread next calls
-    /// [`EditQueue::apply`]. Does not wait for that; what it gives back can, or can be dropped.
+    /// Sends a batch of edits, to be applied atomically when the scene's thread next calls [`EditQueue::apply`]. Does
+    /// not block. The returned handle can be waited on or dropped.
     pub fn send<T: Send + 'static>(
         &self,
         batch: impl FnOnce(&mut Scene) -> Result<T> + Send + 'static,
     ) -> PendingEdit<T> {
         let (outcome, pending) = channel();
         let batch = move |scene: &mut Scene| {
-            // A sender that does not want to know has dropped the other end.
+            // Fails if the handle was dropped.
             let _ = outcome.send(scene.transaction(batch));
         };
-        // Where the queue is gone, the batch goes, and the outcome's sender with it: that is what `wait` sees.
+        // If the queue was dropped, the batch is dropped here, and the outcome's sender with it: `wait` then returns
+        // `QueueClosed`.
         let _ = self.batches.send(Box::new(batch));
         PendingEdit { outcome: pending }
     }
 }
 
-/// The outcome of a batch that was sent.
+/// A handle to the outcome of a batch that was sent.
 #[derive(Debug)]
 #[must_use = "drop it if the outcome does not matter"]
 pub struct PendingEdit<T> {
@@ -101,15 +101,16 @@ pub struct PendingEdit<T> {
 }
 
 impl<T> PendingEdit<T> {
-    /// Waits until the batch has been applied or has failed. On the scene's own thread that is forever.
+    /// Blocks until the batch has been applied or has failed. Never call it on the scene's own thread: it would wait
+    /// forever.
     ///
     /// # Errors
-    /// Those of the batch; [`Error::QueueClosed`] if the queue went away before it was applied.
+    /// Those of the batch; [`Error::QueueClosed`] if the queue was dropped before it applied the batch.
     pub fn wait(self) -> Result<T> {
         self.outcome.recv().unwrap_or(Err(Error::QueueClosed))
     }
 
-    /// The outcome if there is one already. Gives it once.
+    /// The outcome, if there is one already. Returns it only once.
     ///
     /// # Errors
     /// As [`wait`](Self::wait).

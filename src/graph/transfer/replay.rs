@@ -1,4 +1,4 @@
-//! Recordings: a session as a file, from the whole scene at its start through what changed in each frame.
+//! Recordings: a session as a file, with a snapshot of the scene at its start and the changes of each frame.
 
 use std::fs::File;
 use std::io::{BufReader, BufWriter, Write as _};
@@ -9,7 +9,7 @@ use super::file::{SceneFileError, read_frame, read_header, write_frame, write_he
 use crate::graph::{ChangeCursor, Scene};
 use crate::{Error, Result};
 
-/// Records what happens to a scene, so that a bug report is a file.
+/// Records a session to a file, frame by frame; for example to attach to a bug report.
 ///
 /// ```
 /// use ropewalk::{Core, Recorder, Replay, Scene};
@@ -52,25 +52,25 @@ impl Recorder {
             let mut file = BufWriter::new(file);
             write_header(&mut file).map(|()| file)
         });
-        let file = started.map_err(|source| Error::Io { path: path.clone(), source })?;
+        let file = started.map_err(|error| Error::io(&path, error))?;
         let mut recorder = Self { path, file, cursor: ChangeCursor::default() };
         recorder.record(scene)?;
         Ok(recorder)
     }
 
-    /// Appends a frame: what changed since the last one, be it nothing. It has reached the operating system when this
-    /// returns, so that a crash of this program does not lose it. O(changes).
+    /// Appends a frame with the changes since the last one (possibly none) and flushes it to the operating system, so
+    /// that it survives a crash of this process. O(changes).
     ///
     /// # Errors
-    /// [`Error::Io`]: most often the disk is full. The file is then whole up to the frame before; begin another.
+    /// [`Error::Io`]: most often the disk is full. The file is then complete up to the frame before; begin another.
     pub fn record(&mut self, scene: &mut Scene) -> Result<()> {
         let delta = scene.delta_since(&mut self.cursor);
         let written = write_frame(&mut self.file, &delta).and_then(|()| self.file.flush());
-        written.map_err(|source| Error::Io { path: self.path.clone(), source })
+        written.map_err(|error| Error::io(&self.path, error))
     }
 }
 
-/// Reads a recording, frame by frame, or a saved scene, which is a recording of one.
+/// Reads a recording, frame by frame, or a saved scene, which is a recording with one frame.
 #[derive(Debug)]
 pub struct Replay {
     path: PathBuf,
@@ -82,17 +82,17 @@ impl Replay {
     /// Opens a recording.
     ///
     /// # Errors
-    /// [`Error::Io`] where it cannot be read; [`Error::SceneFile`] where it is not a recording, or one of a later
+    /// [`Error::Io`] if it cannot be read; [`Error::SceneFile`] if it is not a recording, or one of another format
     /// version.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref().to_owned();
-        let file = File::open(&path).map_err(|source| Error::Io { path: path.clone(), source })?;
+        let file = File::open(&path).map_err(|error| Error::io(&path, error))?;
         let mut file = BufReader::new(file);
-        read_header(&mut file).map_err(|fault| fault.at(&path, 0))?;
+        read_header(&mut file).map_err(|error| error.at(&path, 0))?;
         Ok(Self { path, file, frame: 0 })
     }
 
-    /// How many frames were read so far.
+    /// Number of frames read so far.
     pub fn frame(&self) -> usize {
         self.frame
     }
@@ -100,19 +100,19 @@ impl Replay {
     /// The next frame; `None` at the end.
     ///
     /// # Errors
-    /// [`Error::SceneFile`] where the file is damaged, or ends within the frame: the frames before are whole.
+    /// [`Error::SceneFile`] if the file is damaged, or ends within the frame; the frames before are intact.
     pub fn next_delta(&mut self) -> Result<Option<Delta>> {
-        let delta = read_frame(&mut self.file).map_err(|fault| fault.at(&self.path, self.frame))?;
+        let delta = read_frame(&mut self.file).map_err(|error| error.at(&self.path, self.frame))?;
         self.frame += usize::from(delta.is_some());
         Ok(delta)
     }
 
-    /// Makes the scene what it was in the next frame; whether there was one. The first frame makes any scene the
-    /// recorded one; the others need it as the one before left it.
+    /// Applies the next frame. Returns false at the end. Frame 0 is a snapshot and fits any scene; each later frame
+    /// requires the state of the frame before.
     ///
     /// # Errors
-    /// As [`next_delta`](Self::next_delta); [`Error::SceneFile`] also for a frame that does not fit the scene, which
-    /// stays as it was.
+    /// As [`next_delta`](Self::next_delta); [`Error::SceneFile`] also for a frame that does not fit the scene, which is
+    /// then unchanged.
     pub fn apply_next(&mut self, scene: &mut Scene) -> Result<bool> {
         let Some(delta) = self.next_delta()? else { return Ok(false) };
         scene.apply(&delta).map_err(|error| Error::SceneFile {

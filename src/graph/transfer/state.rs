@@ -1,45 +1,46 @@
-//! All that one object is, apart from the scene it is in.
+//! Complete state of one object, independent of its scene.
 
 use serde::{Deserialize, Serialize};
 
 use crate::graph::key_map::slot;
 use crate::graph::{Core, CoreKey, Geometry, Material, NodeKey, ObjectKey, Scene, Texture};
 
-/// All that one object is. The arrays of geometries and textures are shared with the scene, so that a copy is cheap.
+/// Complete state of one object. The arrays of geometries and textures are shared with the scene, so that a copy is
+/// cheap.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum ObjectState {
-    /// Of a node.
+    /// State of a node.
     Node(NodeState),
-    /// Of a core.
+    /// State of a core.
     Core(Core),
-    /// Of a geometry.
+    /// State of a geometry.
     Geometry(Geometry),
-    /// Of a material.
+    /// State of a material.
     Material(Box<Material>),
-    /// Of a texture.
+    /// State of a texture.
     Texture(Texture),
 }
 
-/// All that a node is.
+/// Complete state of a node.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct NodeState {
-    /// Its parent; `None` for the root.
+    /// The parent; `None` for the root.
     pub parent: Option<NodeKey>,
-    /// The child of its parent that comes before it; `None` for the first.
+    /// The child before it among its parent's; `None` for the first.
     pub previous_sibling: Option<NodeKey>,
-    /// What it is.
+    /// The key of its core.
     pub core: CoreKey,
-    /// Its own traversal mask.
+    /// Its own ray mask.
     pub mask: u32,
-    /// Whether it is itself shown.
+    /// Its own visibility.
     pub visible: bool,
     /// Its name.
     pub name: Box<str>,
 }
 
 impl ObjectState {
-    /// Whether an object can be in this state at all: a node in that of a node.
+    /// Whether the state is of the key's kind.
     pub(super) fn matches_kind(&self, object: ObjectKey) -> bool {
         matches!(
             (self, object),
@@ -51,7 +52,7 @@ impl ObjectState {
         )
     }
 
-    /// The objects that one in this state refers to and counts as used, some of them twice.
+    /// The objects that the state references, once per counted use.
     pub(super) fn references(&self) -> Vec<ObjectKey> {
         match self {
             Self::Node(node) => vec![node.core.into()],
@@ -67,7 +68,7 @@ impl ObjectState {
 }
 
 impl Scene {
-    /// All that an object is; `None` if it is not in the scene. O(1).
+    /// The complete state of an object; `None` if it is not in the scene. O(1).
     pub fn state(&self, object: ObjectKey) -> Option<ObjectState> {
         Some(match object {
             ObjectKey::Node(key) => {
@@ -88,7 +89,7 @@ impl Scene {
         })
     }
 
-    /// Whether the scene has this object.
+    /// Whether the key is that of an object of this scene.
     pub(super) fn contains_object(&self, object: ObjectKey) -> bool {
         match object {
             ObjectKey::Node(key) => self.nodes.contains_key(key),
@@ -99,7 +100,7 @@ impl Scene {
         }
     }
 
-    /// The slot of the object's key, the object that is there now, and how many such slots there are.
+    /// The slot of the object's key, the object that has that slot now, and the number of slots of its kind.
     pub(super) fn slot_occupancy(&self, object: ObjectKey) -> (usize, Option<ObjectKey>, usize) {
         match object {
             ObjectKey::Node(key) => {
@@ -120,7 +121,7 @@ impl Scene {
         }
     }
 
-    /// All objects, by rising keys of each kind. O(slots).
+    /// All objects, in ascending order of keys within each kind. O(slots).
     pub(super) fn objects(&self) -> impl Iterator<Item = ObjectKey> {
         let nodes = self.nodes.keys().map(ObjectKey::from);
         let cores = self.cores.keys().map(ObjectKey::from);

@@ -1,25 +1,26 @@
-//! Undo and redo: groups of edits that are taken back and done again.
+//! Undo and redo of groups of edits.
 
 use std::collections::VecDeque;
 
 use super::Delta;
 use super::journal::PriorStates;
+use crate::error::HistoryStep;
 use crate::graph::Scene;
 use crate::{Error, Result};
 
-/// What undo and redo can do.
+/// The groups that can be undone and redone.
 #[derive(Debug)]
 pub(super) struct UndoHistory {
     limit: usize,
-    /// To be undone; the newest last.
+    /// Undo stack; the newest group last.
     undo_groups: VecDeque<UndoGroup>,
-    /// To be redone; the one that was undone last, last.
+    /// Redo stack; the group undone last is last.
     redo_groups: Vec<UndoGroup>,
-    /// What objects were before the edits since the last group.
-    open: PriorStates,
+    /// Prior states of the current group: the edits since the last one ended.
+    current: PriorStates,
 }
 
-/// What the objects of a group of edits were on the other side of it.
+/// A named group of edits: the states its objects had before it (on the undo stack) or after it (on the redo stack).
 #[derive(Debug)]
 struct UndoGroup {
     name: String,
@@ -27,10 +28,10 @@ struct UndoGroup {
 }
 
 impl UndoHistory {
-    /// Where edits are to be noted. They end what could be redone.
+    /// The prior states of the current group. Clears the redo stack, as a new edit does.
     pub(super) fn prior_states_mut(&mut self) -> &mut PriorStates {
         self.redo_groups.clear();
-        &mut self.open
+        &mut self.current
     }
 
     fn push_undo(&mut self, group: UndoGroup) {
@@ -47,13 +48,13 @@ impl UndoHistory {
 
 /// Undo and redo.
 impl Scene {
-    /// How many groups can be undone unless [`set_undo_limit`](Self::set_undo_limit) says otherwise.
+    /// Number of groups that can be undone unless [`set_undo_limit`](Self::set_undo_limit) changes it.
     pub const DEFAULT_UNDO_LIMIT: usize = 256;
 
-    /// From now on edits can be taken back. Does nothing where they already can.
+    /// Enables undo. Does nothing if it is enabled.
     ///
-    /// Each edit then notes what the object was, once in each group: O(1), arrays shared. Removed objects come back
-    /// under their keys, and whatever held on to these can go on.
+    /// Each edit then saves the state of its object, once per group: O(1), arrays shared. Undo restores removed objects
+    /// under their keys, so that keys held elsewhere are valid again.
     ///
     /// ```
     /// use ropewalk::{Core, Scene};
@@ -80,16 +81,16 @@ impl Scene {
             limit: Self::DEFAULT_UNDO_LIMIT,
             undo_groups: VecDeque::new(),
             redo_groups: Vec::new(),
-            open: PriorStates::new(),
+            current: PriorStates::new(),
         });
     }
 
-    /// Forgets what could be undone and redone, and notes nothing any more.
+    /// Disables undo and drops all groups.
     pub fn disable_undo(&mut self) {
         self.journal.history = None;
     }
 
-    /// Keeps at most this many groups to be undone; the oldest go. Does nothing where undo is not enabled.
+    /// Limits the undo stack to this many groups; the oldest are dropped. Does nothing if undo is not enabled.
     pub fn set_undo_limit(&mut self, groups: usize) {
         if let Some(history) = &mut self.journal.history {
             history.limit = groups;
@@ -97,15 +98,15 @@ impl Scene {
         }
     }
 
-    /// Makes all edits since the last call one group, to be undone together. Without such edits there is no group; and
-    /// within a transaction, which may yet be taken back, it does nothing. O(objects edited).
+    /// Ends the current group: all edits since the last call are undone together. Without such edits there is no group.
+    /// Within a transaction, which may yet be rolled back, it does nothing. O(objects edited).
     pub fn end_undo_group(&mut self, name: impl Into<String>) {
         if self.journal.is_in_transaction() {
             return;
         }
         let Some(history) = &mut self.journal.history else { return };
-        let mut before = std::mem::take(&mut history.open);
-        // Not what came and went.
+        let mut before = std::mem::take(&mut history.current);
+        // Leave out objects that were added and removed within the group.
         before.retain(|&object, state| state.is_some() || self.contains_object(object));
         if let Some(history) = &mut self.journal.history
             && !before.is_empty()
@@ -114,17 +115,19 @@ impl Scene {
         }
     }
 
-    /// Takes back the newest group that was not, and tells its name; `None` if there is none. Edits that no group was
-    /// ended after are a group without a name. O(objects edited in it).
+    /// Undoes the newest group and returns its name; `None` if there is none. Edits since the last
+    /// [`end_undo_group`](Self::end_undo_group) form an unnamed group. O(objects edited in it).
     ///
     /// # Errors
     /// [`Error::Transaction`] within a transaction: let that end first.
     pub fn undo(&mut self) -> Result<Option<String>> {
-        self.require_no_transaction("undo")?;
+        // 1. End the current group, and take the newest one.
+        self.require_no_transaction(HistoryStep::Undo)?;
         self.end_undo_group("");
         let Some(group) = self.journal.history.as_mut().and_then(|history| history.undo_groups.pop_back()) else {
             return Ok(None);
         };
+        // 2. Restore its states; those that they replace are what redo restores.
         let group = self.swap_states(group);
         let name = group.name.clone();
         if let Some(history) = &mut self.journal.history {
@@ -133,13 +136,13 @@ impl Scene {
         Ok(Some(name))
     }
 
-    /// Does the group again that was undone last, and tells its name; `None` if there is none, or if there were edits
-    /// since. O(objects edited in it).
+    /// Redoes the group undone last and returns its name; `None` if there is none, or if there were edits since.
+    /// O(objects edited in it).
     ///
     /// # Errors
     /// [`Error::Transaction`] within a transaction: let that end first.
     pub fn redo(&mut self) -> Result<Option<String>> {
-        self.require_no_transaction("redo")?;
+        self.require_no_transaction(HistoryStep::Redo)?;
         let Some(group) = self.journal.history.as_mut().and_then(|history| history.redo_groups.pop()) else {
             return Ok(None);
         };
@@ -151,19 +154,19 @@ impl Scene {
         Ok(Some(name))
     }
 
-    /// The name of the group that [`undo`](Self::undo) would take back; empty for edits that no group was ended after.
+    /// The name of the group that [`undo`](Self::undo) would undo; empty for an unnamed group.
     pub fn next_undo(&self) -> Option<&str> {
         let history = self.journal.history.as_ref()?;
         let last = || history.undo_groups.back().map(|group| group.name.as_str());
-        if history.open.is_empty() { last() } else { Some("") }
+        if history.current.is_empty() { last() } else { Some("") }
     }
 
-    /// The name of the group that [`redo`](Self::redo) would do again.
+    /// The name of the group that [`redo`](Self::redo) would redo.
     pub fn next_redo(&self) -> Option<&str> {
         self.journal.history.as_ref()?.redo_groups.last().map(|group| group.name.as_str())
     }
 
-    /// Makes the objects of a group what they were on the other side of it; gives the group as seen from there.
+    /// Swaps the states stored in the group with the scene's current ones.
     fn swap_states(&mut self, group: UndoGroup) -> UndoGroup {
         let objects = group.states.objects().map(|(object, _)| object);
         let states = Delta::new(objects.map(|object| (object, self.state(object))));
@@ -171,7 +174,7 @@ impl Scene {
         UndoGroup { name: group.name, states }
     }
 
-    fn require_no_transaction(&self, attempt: &'static str) -> Result<()> {
+    fn require_no_transaction(&self, attempt: HistoryStep) -> Result<()> {
         if self.journal.is_in_transaction() { Err(Error::Transaction { attempt }) } else { Ok(()) }
     }
 }

@@ -1,4 +1,4 @@
-//! Making a scene be as a delta says, which fits it.
+//! Writes the states of a validated delta into the scene.
 
 use super::delta::Delta;
 use super::{NodeState, ObjectState};
@@ -11,20 +11,21 @@ use crate::graph::{Core, CoreKey, Geometry, GeometryKey, Material, MaterialKey, 
 use crate::graph::{Scene, Texture, TextureKey};
 
 impl Scene {
-    /// Makes the objects be as a checked delta says. `order` are its nodes, each after its previous sibling.
+    /// Gives the objects of a validated delta their target states. `order` are its nodes, each after its previous
+    /// sibling.
     pub(super) fn write_states(&mut self, delta: &Delta, order: &[NodeKey]) {
-        // What loses its last user here is freed if the delta says so.
+        // Suspend automatic freeing: the delta lists every removal.
         self.keeps_unused = true;
-        // 1. End the uses of what is going to be used no more, so that nothing refers to what goes.
+        // 1. Release references that change, so that no removed object is still referenced.
         for (object, state) in delta.objects() {
             self.release_references(object, state);
         }
-        // 2. Take out what goes, so that slots are vacant.
+        // 2. Remove objects, so that their slots are vacant.
         self.remove_from_hierarchy(delta);
         for (object, _) in delta.objects().filter(|(_, state)| state.is_none()) {
             self.remove_object(object);
         }
-        // 3. Put in what comes and change what stays: what is used before what uses it.
+        // 3. Add and change objects, each before those that refer to it.
         for (object, state) in delta.objects.iter().rev() {
             match (*object, state) {
                 (ObjectKey::Texture(key), Some(ObjectState::Texture(texture))) => self.put_texture(key, texture),
@@ -35,7 +36,7 @@ impl Scene {
                 _ => {}
             }
         }
-        // 4. Now that all nodes are there, put them in their places.
+        // 4. Link nodes to their parents and siblings, which all exist now.
         for &node in order {
             if let Some(Some(ObjectState::Node(state))) = delta.get(node.into()) {
                 self.link_node(node, state);
@@ -44,6 +45,7 @@ impl Scene {
         self.keeps_unused = false;
     }
 
+    /// Ends the uses of those objects that the target state does not refer to.
     fn release_references(&mut self, object: ObjectKey, state: Option<&ObjectState>) {
         match (object, state) {
             (ObjectKey::Node(key), state) if self.nodes.contains_key(key) => {
@@ -73,13 +75,13 @@ impl Scene {
         }
     }
 
-    /// Tells the hierarchy of the nodes that go: those whose parents stay say it for all below them.
+    /// Reports each topmost removed node to the hierarchy; its subtree follows.
     fn remove_from_hierarchy(&mut self, delta: &Delta) {
-        let goes = |node: NodeKey| matches!(delta.get(node.into()), Some(None));
+        let is_removed = |node: NodeKey| matches!(delta.get(node.into()), Some(None));
         for (object, _) in delta.objects() {
             if let ObjectKey::Node(key) = object
-                && goes(key)
-                && self.nodes.get(key).is_some_and(|node| node.parent.is_some_and(|parent| !goes(parent)))
+                && is_removed(key)
+                && self.nodes.get(key).is_some_and(|node| node.parent.is_some_and(|parent| !is_removed(parent)))
             {
                 self.hierarchy.subtree_removed(key);
             }
@@ -93,7 +95,7 @@ impl Scene {
         self.save_prior_state(object);
         match object {
             ObjectKey::Node(key) => {
-                // Some go too, some are going to get other parents.
+                // Children are removed too or get other parents.
                 while let Some(child) = self.nodes[key].first_child {
                     self.unlink_child(child);
                 }
@@ -144,7 +146,7 @@ impl Scene {
     fn put_geometry(&mut self, key: GeometryKey, geometry: &Geometry) {
         match self.geometries.get(key) {
             None => {
-                // Higher than all versions that it had when it was there before: each was a change.
+                // The scene's revision exceeds every earlier version of this key.
                 let stored = StoredGeometry::from_validated(geometry.clone(), self.revision());
                 self.geometries.insert_at(key, UseCounted::new(stored));
                 self.record(key, Change::ADDED);
@@ -169,10 +171,10 @@ impl Scene {
         }
     }
 
-    /// All of a node but its place among its family.
+    /// Writes everything of a node except its links to parent and siblings.
     fn write_node(&mut self, key: NodeKey, state: &NodeState) {
         let Some(node) = self.nodes.get(key) else {
-            // It may have been here before, and have left entries that were not yet caught up with.
+            // The key may have had entries before whose removal the hierarchy has not applied yet.
             self.hierarchy.subtree_removed(key);
             let node = Node::new(state.core);
             let node = Node { mask: state.mask, visible: state.visible, name: state.name.clone(), ..node };
@@ -202,6 +204,7 @@ impl Scene {
         self.record(key, change);
     }
 
+    /// Links a node to its parent and previous sibling.
     fn link_node(&mut self, key: NodeKey, state: &NodeState) {
         let Some(parent) = state.parent else { return };
         let node = &self.nodes[key];

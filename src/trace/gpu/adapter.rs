@@ -5,6 +5,7 @@ use wgpu::{AdapterInfo, Backend, DeviceType, DownlevelFlags, TextureFormat, Text
 use super::context::Context;
 use super::scene::STORAGE_BUFFERS;
 use super::{batch, frame, probe};
+use crate::error::{Resource, require_within};
 use crate::{Error, Result};
 
 /// Which kinds of adapter count as a GPU.
@@ -91,21 +92,18 @@ pub(super) fn describe(info: &AdapterInfo) -> String {
 /// Fails, naming it, on the first limit that is too low for the kernel.
 pub(super) fn check_limits(limits: &wgpu::Limits) -> Result<()> {
     let workgroups = batch::MAX_WORKGROUPS.max(frame::most_workgroups(limits));
-    for (what, needed, limit) in [
-        ("the kernel (storage buffers a shader stage)", STORAGE_BUFFERS, limits.max_storage_buffers_per_shader_stage),
-        ("the kernel (storage textures a shader stage)", 3, limits.max_storage_textures_per_shader_stage),
-        ("the kernel (uniform buffers a shader stage)", 1, limits.max_uniform_buffers_per_shader_stage),
-        ("the kernel (bind groups)", 2, limits.max_bind_groups),
-        ("the kernel (dynamic uniform buffers)", 1, limits.max_dynamic_uniform_buffers_per_pipeline_layout),
-        ("the kernel (invocations a workgroup)", 64, limits.max_compute_invocations_per_workgroup),
-        ("the kernel (workgroup size along x)", 64, limits.max_compute_workgroup_size_x),
-        ("the kernel (workgroup size along y)", 8, limits.max_compute_workgroup_size_y),
-        ("the kernel (workgroups a dispatch)", workgroups, limits.max_compute_workgroups_per_dimension),
+    for (resource, needed, limit) in [
+        (Resource::StorageBuffers, STORAGE_BUFFERS, limits.max_storage_buffers_per_shader_stage),
+        (Resource::StorageTextures, 3, limits.max_storage_textures_per_shader_stage),
+        (Resource::UniformBuffers, 1, limits.max_uniform_buffers_per_shader_stage),
+        (Resource::BindGroups, 2, limits.max_bind_groups),
+        (Resource::DynamicUniformBuffers, 1, limits.max_dynamic_uniform_buffers_per_pipeline_layout),
+        (Resource::WorkgroupInvocations, 64, limits.max_compute_invocations_per_workgroup),
+        (Resource::WorkgroupWidth, 64, limits.max_compute_workgroup_size_x),
+        (Resource::WorkgroupHeight, 8, limits.max_compute_workgroup_size_y),
+        (Resource::Workgroups, workgroups, limits.max_compute_workgroups_per_dimension),
     ] {
-        if limit < needed {
-            let hint = "; request the device with ropewalk's required_limits(), or use another adapter";
-            return Err(Error::Limit { what, needed: needed.into(), limit: limit.into(), hint });
-        }
+        require_within(resource, needed.into(), limit.into())?;
     }
     Ok(())
 }

@@ -6,8 +6,9 @@ use wgpu::util::DeviceExt as _;
 
 use super::context::Context;
 use super::scene::{largest_buffer, storage_entry};
+use crate::Result;
 use crate::device::layout::{HitRecord, RayBatch, RayRecord};
-use crate::{Error, Result};
+use crate::error::{Resource, require, require_within};
 
 /// What fails if this does.
 pub(super) const OPERATION: &str = "tracing rays";
@@ -128,26 +129,15 @@ impl RayBuffers<'_> {
     /// Fails unless both buffers hold what they are said to, and a binding holds that.
     pub(super) fn check(&self, limits: &wgpu::Limits, answer_size: usize) -> Result<()> {
         let limit = largest_buffer(limits);
-        for (what, buffer, stride) in [
-            ("the buffer of rays (bytes)", self.rays, size_of::<RayRecord>()),
-            ("the buffer of answers (bytes)", self.results, answer_size),
+        for (binding, size, buffer, stride) in [
+            (Resource::RayBinding, Resource::RayBuffer, self.rays, size_of::<RayRecord>()),
+            (Resource::ResultBinding, Resource::ResultBuffer, self.results, answer_size),
         ] {
             let needed = u64::from(self.count) * stride as u64;
-            if needed > limit {
-                return Err(Error::Limit { what, needed, limit, hint: "; trace fewer rays at a time" });
-            }
-            if needed > buffer.size() {
-                let hint = "; it is smaller than its count of rays says";
-                return Err(Error::Limit { what, needed, limit: buffer.size(), hint });
-            }
-            if !buffer.usage().contains(BufferUsages::STORAGE) {
-                let value = format!("{:?}", buffer.usage());
-                return Err(Error::OutOfRange {
-                    what: "the usage of a buffer of rays or answers",
-                    value,
-                    expected: "STORAGE",
-                });
-            }
+            require_within(binding, needed, limit)?;
+            require_within(size, needed, buffer.size())?;
+            let is_storage = buffer.usage().contains(BufferUsages::STORAGE);
+            require(is_storage, "the usage of a buffer of rays or answers", &buffer.usage(), "STORAGE")?;
         }
         Ok(())
     }

@@ -5,12 +5,13 @@ use wgpu::{BufferUsages, TextureFormat, TextureUsages};
 
 use super::context::Context;
 use super::timer::Timer;
+use crate::Result;
 use crate::device::Needs;
 use crate::device::layout::FrameParams;
+use crate::error::{Resource, require_within};
 use crate::trace::FrameRequest;
 use crate::trace::frame_buffer::{AovBuffers, FrameBuffer};
 use crate::trace::kernel::max_rays_per_pixel;
-use crate::{Error, Result};
 
 /// What fails if a frame cannot be traced.
 pub(super) const TRACING: &str = "tracing the frame";
@@ -71,12 +72,8 @@ pub(super) fn layout(context: &Context) -> wgpu::BindGroupLayout {
 /// Fails if no image can be that large.
 pub(super) fn check_size([width, height]: [u32; 2], limits: &wgpu::Limits) -> Result<()> {
     let limit = limits.max_texture_dimension_2d;
-    for (what, needed) in [("the image's width (pixels)", width), ("the image's height (pixels)", height)] {
-        if needed > limit {
-            let hint = "; render it in parts, or use the cpu executor";
-            return Err(Error::Limit { what, needed: needed.into(), limit: limit.into(), hint });
-        }
-    }
+    require_within(Resource::ImageWidth, width.into(), limit.into())?;
+    require_within(Resource::ImageHeight, height.into(), limit.into())?;
     FrameBuffer::check_size(width, height)?;
     Ok(())
 }

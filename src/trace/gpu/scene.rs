@@ -8,6 +8,7 @@ use super::array::{ArrayBuffer, Contents, UploadOutcome};
 use super::context::Context;
 use crate::device::Needs;
 use crate::device::{DeviceArrays, DeviceBuffer};
+use crate::error::{Resource, require_within};
 use crate::trace::Traversal;
 use crate::trace::shader::{ARRAY_COUNT, ArraySplit, ArraySplits, Include, KernelVariant};
 use crate::{Error, Result};
@@ -195,10 +196,7 @@ fn plan_splits(sources: &[Source<'_>], limits: &wgpu::Limits) -> Result<ArraySpl
     let mut splits = ArraySplits::default();
     for source in sources {
         let (needed, stride) = (source.array.bytes().len() as u64, source.placeholder.len() as u64);
-        let fits = |limit| {
-            let hint = "; share geometry between nodes, use smaller textures, or use the cpu executor";
-            if needed > limit { Err(Error::Limit { what: source.what, needed, limit, hint }) } else { Ok(()) }
-        };
+        let fits = |limit| require_within(Resource::GpuArray(source.what), needed, limit);
         let Some(split) = source.split else {
             fits(largest)?;
             continue;
@@ -281,27 +279,27 @@ fn sources(arrays: &mut DeviceArrays, layout: Traversal) -> [Source<'_>; ARRAY_C
     let nodes = match layout {
         Traversal::Rope => {
             arrays.wide_nodes.take_dirty();
-            source("blas_nodes (bytes)", &mut arrays.blas_nodes)
+            source("blas_nodes", &mut arrays.blas_nodes)
         }
         Traversal::Wide => {
             arrays.blas_nodes.take_dirty();
-            source("wide_nodes (bytes)", &mut arrays.wide_nodes)
+            source("wide_nodes", &mut arrays.wide_nodes)
         }
     };
     [
-        source("tlas_nodes (bytes)", &mut arrays.tlas_nodes),
-        source("instances (bytes)", &mut arrays.instances),
+        source("tlas_nodes", &mut arrays.tlas_nodes),
+        source("instances", &mut arrays.instances),
         Source { split: Some(|s| &mut s.nodes), ..nodes },
-        Source { split: Some(|s| &mut s.triangles), ..source("triangles (bytes)", &mut arrays.triangles) },
-        source("geometries (bytes)", &mut arrays.geometries),
-        source("indices (bytes)", &mut arrays.indices),
-        source("normals (bytes)", &mut arrays.normals),
-        source("tex_coords (bytes)", &mut arrays.tex_coords),
-        source("colors (bytes)", &mut arrays.colors),
-        source("materials (bytes)", &mut arrays.materials),
-        source("texture_infos (bytes)", &mut arrays.texture_infos),
-        source("texels (bytes)", &mut arrays.texels),
-        source("lights (bytes)", &mut arrays.lights),
+        Source { split: Some(|s| &mut s.triangles), ..source("triangles", &mut arrays.triangles) },
+        source("geometries", &mut arrays.geometries),
+        source("indices", &mut arrays.indices),
+        source("normals", &mut arrays.normals),
+        source("tex_coords", &mut arrays.tex_coords),
+        source("colors", &mut arrays.colors),
+        source("materials", &mut arrays.materials),
+        source("texture_infos", &mut arrays.texture_infos),
+        source("texels", &mut arrays.texels),
+        source("lights", &mut arrays.lights),
     ]
 }
 
@@ -330,7 +328,7 @@ mod tests {
             for (_, variable) in module.global_variables.iter() {
                 let binding = variable.binding.as_ref().unwrap();
                 if binding.group == 0 {
-                    let declared = format!("{} (bytes)", variable.name.as_deref().unwrap());
+                    let declared = variable.name.as_deref().unwrap();
                     assert_eq!(sources[binding.binding as usize].what, declared);
                     compared += 1;
                 }

@@ -37,7 +37,7 @@ fn structure(scene: &Scene, model: &Model) {
         assert_eq!(scene.children(key).unwrap().collect::<Vec<_>>(), node.children);
         assert_eq!(scene.ancestors(key).unwrap().collect::<Vec<_>>(), model.upwards(key)[1..]);
         assert_eq!(scene.core_key(key).unwrap(), node.core);
-        assert_eq!(scene.core(key).unwrap(), model.core(key));
+        assert_eq!(scene.node_core(key).unwrap(), model.core(key));
         assert_eq!(scene.name(key).unwrap(), node.name);
         assert_eq!(scene.mask(key).unwrap(), node.mask);
         assert_eq!(scene.is_visible(key).unwrap(), node.visible);
@@ -80,7 +80,7 @@ fn objects(scene: &Scene, model: &Model) {
 fn stale_keys(scene: &Scene, model: &Model, issued: &Issued) {
     let node = |key: &_| !model.nodes.contains_key(key) && scene.parent(*key).is_ok();
     assert_eq!(issued.nodes.iter().find(|key| node(key)), None);
-    let core = |key: &_| !model.cores.contains_key(key) && scene.core_by_key(*key).is_ok();
+    let core = |key: &_| !model.cores.contains_key(key) && scene.core(*key).is_ok();
     assert_eq!(issued.cores.iter().find(|key| core(key)), None);
     let geometry = |key: &_| !model.geometries.contains_key(key) && scene.geometry(*key).is_ok();
     assert_eq!(issued.geometries.iter().find(|key| geometry(key)), None);

@@ -184,12 +184,12 @@ impl Edit {
             Self::AddTexture(texture) => scene.add_texture(texture).map(|key| Some(key.into())),
             Self::Remove(key) => scene.remove(key).map(|()| None),
             Self::Reparent(key, parent, keep) => scene.reparent(key, parent, keep).map(|()| None),
-            Self::SetCore(key, source) => scene.set_core(key, source).map(|()| None),
+            Self::SetCore(key, source) => scene.assign_core(key, source).map(|()| None),
             Self::SetLocal(key, transform) => scene.set_local(key, transform).map(|()| None),
             Self::SetName(key, name) => scene.set_name(key, name).map(|()| None),
             Self::SetMask(key, mask) => scene.set_mask(key, mask).map(|()| None),
             Self::SetVisible(key, visible) => scene.set_visible(key, visible).map(|()| None),
-            Self::EditCore(key, core) => scene.edit_core(key, core).map(|()| None),
+            Self::EditCore(key, core) => scene.set_core(key, core).map(|()| None),
             Self::SetGeometry(key, geometry) => scene.set_geometry(key, geometry).map(|()| None),
             Self::SetPositions(key, positions, normals) => {
                 scene.set_positions(key, positions, normals.map(Into::into)).map(|()| None)

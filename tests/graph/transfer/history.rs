@@ -123,11 +123,11 @@ fn an_instanced_node_goes_and_comes_back_unseen() {
     let result = scene.transaction(|scene| {
         scene.reparent(a, b, KeepTransform::World)?;
         scene.remove(b)?;
-        assert_eq!(*scene.core(instance)?, Core::Group);
+        assert_eq!(*scene.node_core(instance)?, Core::Group);
         Err::<(), _>(Error::QueueClosed)
     });
     assert!(result.is_err());
-    assert_eq!(*scene.core(instance).unwrap(), Core::Instance(a));
+    assert_eq!(*scene.node_core(instance).unwrap(), Core::Instance(a));
     scene.hierarchy().unwrap();
     scene.validate().unwrap();
 }

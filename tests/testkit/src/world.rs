@@ -168,12 +168,12 @@ impl World {
             Edit::SwapCore(node, geometry, material) => {
                 let node = self.node(node);
                 let core = self.core(geometry, material);
-                let _ = self.scene.set_core(node, core);
+                let _ = self.scene.assign_core(node, core);
             }
             Edit::ChangeCore(node, kind, i) => {
                 let key = self.scene.core_key(self.node(node)).unwrap();
                 let core = self.any_core(kind, i);
-                let _ = self.scene.edit_core(key, core);
+                let _ = self.scene.set_core(key, core);
             }
         }
     }

@@ -1,6 +1,7 @@
 //! Which devices are taken, and what is said of those that are not.
 
 use ropewalk::Error;
+use ropewalk::error::Resource;
 use ropewalk::trace::Tracer as _;
 use ropewalk::trace::gpu::{AdapterKinds, GpuOptions, GpuTracer, optional_features, required_limits};
 
@@ -52,8 +53,8 @@ fn a_device_with_too_low_limits_is_refused_by_the_limit() {
     let Some((adapter, _)) = adapter() else { return };
     let (device, queue) = device(&adapter, wgpu::Limits::downlevel_defaults(), wgpu::Features::empty());
     let error = GpuTracer::from_device(device, queue).unwrap_err();
-    let Error::Limit { what, needed, limit, .. } = error else { panic!("{error}") };
-    assert_eq!((what, needed, limit), ("the kernel (storage buffers a shader stage)", 15, 4));
+    let Error::Limit { resource, needed, limit } = error else { panic!("{error}") };
+    assert_eq!((resource, needed, limit), (Resource::StorageBuffers, 15, 4));
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! Frames: sizes, bands, what stays on the GPU and what is read.
 
 use ropewalk::device::Needs;
+use ropewalk::error::Resource;
 use ropewalk::graph::NodeKey;
 use ropewalk::trace::{Emulated, FrameRequest, Tracer as _};
 use ropewalk::{Error, image::Image};
@@ -65,9 +66,9 @@ fn images_larger_than_a_texture_are_refused() {
     let mut arrays = soup(1, &mut Random::new(4));
     tracer.upload(&mut arrays).unwrap();
     tracer.render(&arrays, &request(256, 256, false)).unwrap();
-    for (size, what) in [((257, 4), "the image's width (pixels)"), ((4, 300), "the image's height (pixels)")] {
+    for (size, expected) in [((257, 4), Resource::ImageWidth), ((4, 300), Resource::ImageHeight)] {
         let error = tracer.render(&arrays, &request(size.0, size.1, false)).unwrap_err();
-        assert!(matches!(error, Error::Limit { what: named, limit: 256, .. } if named == what), "{error}");
+        assert!(matches!(error, Error::Limit { resource, limit: 256, .. } if resource == expected), "{error}");
     }
     assert!(tracer.render(&arrays, &request(u32::MAX, u32::MAX, false)).is_err());
     tracer.render(&arrays, &request(8, 8, false)).unwrap();

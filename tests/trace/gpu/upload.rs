@@ -4,6 +4,7 @@
 use ropewalk::Error;
 use ropewalk::device::DeviceArrays;
 use ropewalk::device::layout::{GeometryRecord, InstanceRecord, MaterialRecord, Node, RayRecord, Triangle};
+use ropewalk::error::Resource;
 use ropewalk::trace::gpu::GpuTracer;
 use ropewalk::trace::{Emulated, Tracer as _};
 
@@ -176,8 +177,8 @@ fn an_array_too_large_for_a_buffer_is_named_before_anything_is_written() {
     arrays.instances.write(3, &[arrays.instances[4]]);
     arrays.triangles.write(900, &[arrays.triangles[0]]);
     let error = tracer.upload(&mut arrays).unwrap_err();
-    let Error::Limit { what, needed, limit, .. } = error else { panic!("{error}") };
-    assert_eq!((what, needed, limit), ("triangles (bytes)", 901 * 48, 40_000));
+    let Error::Limit { resource, needed, limit } = error else { panic!("{error}") };
+    assert_eq!((resource, needed, limit), (Resource::GpuArray("triangles"), 901 * 48, 40_000));
     // Nothing was copied, nothing forgotten.
     arrays.triangles.replace(&before);
     let copied = tracer.upload(&mut arrays).unwrap();
@@ -232,8 +233,8 @@ fn what_the_bindings_cannot_hold_is_refused_with_what_they_can() {
     agree(&mut tracer, &arrays, &rays(1000, &mut random));
     arrays.triangles.write(192, &[arrays.triangles[0]]);
     let error = tracer.upload(&mut arrays).unwrap_err();
-    let Error::Limit { what, needed, limit, .. } = error else { panic!("{error}") };
-    assert_eq!((what, needed, limit), ("triangles (bytes)", 193 * 48, 3 * 64 * 48));
+    let Error::Limit { resource, needed, limit } = error else { panic!("{error}") };
+    assert_eq!((resource, needed, limit), (Resource::GpuArray("triangles"), 193 * 48, 3 * 64 * 48));
 }
 
 #[test]

@@ -35,7 +35,7 @@ impl Expected {
         let image = self.render();
         let balls = self.scene.find("balls").unwrap();
         let nodes: Vec<NodeKey> = self.scene.subtree(balls).unwrap().collect();
-        let is_ball = |node: &NodeKey| matches!(self.scene.core(*node), Ok(Core::Geometry { .. }));
+        let is_ball = |node: &NodeKey| matches!(self.scene.node_core(*node), Ok(Core::Geometry { .. }));
         let ball = nodes.into_iter().filter(is_ball).max_by_key(|&ball| pixels_of(&image, ball).len()).unwrap();
         let pixels = pixels_of(&image, ball);
         let middle = [0, 1].map(|i| pixels.iter().map(|pixel| f64::from(pixel[i])).sum::<f64>() / pixels.len() as f64);
