@@ -12,7 +12,7 @@
 // A link of these pages leads to a file of the repository; the definitions that stand before a page here come first, so that
 // they lead to the item or page of this documentation instead.
 
-/// [QUERIES.md]: super::queries
+/// [QUERIES.md]: crate::guide::queries
 /// [`Scene`]: crate::Scene
 /// [`Delta`]: crate::graph::Delta
 /// [`FrameReport::compile`]: crate::FrameReport::compile
@@ -33,8 +33,8 @@ pub mod scene_graph {}
 #[cfg(any(feature = "gpu", not(doctest)))]
 pub mod queries {}
 
-/// [QUERIES.md]: super::queries
-/// [SCENE_GRAPH.md]: super::scene_graph
+/// [QUERIES.md]: crate::guide::queries
+/// [SCENE_GRAPH.md]: crate::guide::scene_graph
 /// [`Geometry::blas_kind`]: crate::Geometry::blas_kind
 #[doc = ""]
 #[doc = include_str!("../docs/CHOOSING.md")]
