@@ -26,7 +26,7 @@
 //! let first = renderer.render(&mut scene, &view)?.report().clone();
 //! assert_eq!((first.compile.blas_built, first.compile.instances), (1, 2));
 //!
-//! // Moving a node rebuilds the top level only.
+//! // Moving a node patches the top-level structure; nothing else is built.
 //! scene.set_local(left, Transform::from_translation(DVec3::new(-1.5, 0.5, 0.0)))?;
 //! let frame = renderer.render(&mut scene, &view)?;
 //! assert_eq!(frame.report().compile.blas_built, 0);
@@ -35,8 +35,8 @@
 //! # Ok::<(), ropewalk::Error>(())
 //! ```
 //!
-//! Start with [`Scene`], [`gltf::import`], [`View`] and [`Renderer`]. The modules [`accel`], [`compile`], [`device`] and
-//! [`trace`] are the machine room, for those who bring their own executor or want to look inside.
+//! Start with [`Scene`], [`gltf::import`], [`View`] and [`Renderer`]; the [`guide`] explains them page by page. The modules
+//! [`accel`], [`compile`], [`device`] and [`trace`] are the internals, public for those who bring an executor of their own.
 
 pub mod accel;
 mod atomic_file;
@@ -45,6 +45,7 @@ pub mod device;
 pub mod error;
 pub mod gltf;
 pub mod graph;
+pub mod guide;
 pub mod image;
 pub mod math;
 pub mod query;
@@ -69,13 +70,3 @@ pub use render::{ClosestHits, DeviceChoice, Frame, FrameReport, Renderer, Render
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;
-
-/// The guide's programs run.
-#[cfg(doctest)]
-#[doc = include_str!("../docs/SCENE_GRAPH.md")]
-struct SceneGraphGuide;
-
-/// The programs of the page on batches of rays run.
-#[cfg(all(doctest, feature = "gpu"))]
-#[doc = include_str!("../docs/QUERIES.md")]
-struct QueriesGuide;
