@@ -12,7 +12,7 @@ use ropewalk::{
 
 fn main() -> Result<()> {
     let mut lamps = Lamps::new()?;
-    let mut renderer = Renderer::new(&RendererOptions { device: DeviceChoice::Auto })?;
+    let mut renderer = Renderer::new(&RendererOptions::default())?;
     let view = View::framing(&mut lamps.scene, 160, 120)?;
     println!(
         "{} ({}), {} nodes",

@@ -21,7 +21,7 @@
 //! let sun = scene.add(root, Transform::looking_at(DVec3::new(1.0, 2.0, 3.0), DVec3::ZERO, DVec3::Y))?;
 //! scene.add(sun, Light::directional(Vec3::ONE, 3.0))?;
 //!
-//! let mut renderer = Renderer::new(&RendererOptions { device: DeviceChoice::Cpu })?;
+//! let mut renderer = Renderer::new(&RendererOptions::default().with_device(DeviceChoice::Cpu))?;
 //! let view = View::framing(&mut scene, 80, 60)?;
 //! let first = renderer.render(&mut scene, &view)?.report().clone();
 //! assert_eq!((first.compile.blas_built, first.compile.instances), (1, 2));

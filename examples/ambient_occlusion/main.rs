@@ -13,7 +13,7 @@ use ropewalk::{Core, DeviceChoice, Geometry, Material, Renderer, RendererOptions
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut scene = boxes()?;
-    let mut renderer = Renderer::new(&RendererOptions { device: DeviceChoice::Gpu })?;
+    let mut renderer = Renderer::new(&RendererOptions::default().with_device(DeviceChoice::Gpu))?;
     let [width, height] = [800, 600];
     let occlusion = Occlusion {
         eye: DVec3::new(5.0, 4.0, 8.0),

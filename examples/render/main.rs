@@ -51,7 +51,7 @@ fn run(arguments: &Arguments) -> Result<(), String> {
     };
     let load_time = start.elapsed();
 
-    let options = RendererOptions { device: arguments.device.into() };
+    let options = RendererOptions::default().with_device(arguments.device.into());
     let mut renderer = Renderer::new(&options).map_err(|error| error.to_string())?;
     if let Some(reason) = renderer.fallback_reason() {
         eprintln!("rendering on the CPU: {}", one_line(reason));

@@ -52,7 +52,7 @@ use crate::math::{Aabb, Bounds};
 /// let place = scene.add(scene.root(), Transform::from_translation(DVec3::new(0.0, 0.0, -5.0)))?;
 /// let triangle = scene.add(place, Core::Geometry { geometry, material })?;
 ///
-/// let mut renderer = Renderer::new(&RendererOptions { device: DeviceChoice::Cpu })?;
+/// let mut renderer = Renderer::new(&RendererOptions::default().with_device(DeviceChoice::Cpu))?;
 /// let queries = renderer.queries(&mut scene)?;
 ///
 /// let hit = queries.closest(&Ray::new(DVec3::new(0.0, 0.5, 0.0), DVec3::NEG_Z))?.unwrap();

@@ -1,14 +1,15 @@
-//! The renderer: one call a frame.
+//! The renderer: compiles the scene, uploads what changed and traces one frame a call.
 
 mod active_tracer;
 mod ray_batches;
 mod report;
 mod view;
 
+use std::fmt;
 use std::time::{Duration, Instant};
 
 pub use active_tracer::DeviceChoice;
-pub use ray_batches::ClosestHits;
+pub use ray_batches::{ClosestHits, RayMask};
 pub use report::FrameReport;
 pub use view::{Sky, View};
 
@@ -26,7 +27,7 @@ use crate::trace::gpu::GpuTracer;
 use crate::trace::kernel::camera_ray;
 use crate::trace::{DeviceInfo, FrameRequest, Tracer};
 
-/// Draws scenes by ray tracing.
+/// Renders scenes by ray tracing, in the manner of Whitted: shadows, reflections, refractions.
 ///
 /// ```
 /// use glam::{DVec3, Vec3};
@@ -39,7 +40,7 @@ use crate::trace::{DeviceInfo, FrameRequest, Tracer};
 /// let material = scene.add_material(Material::diffuse(Vec3::X))?;
 /// scene.add(scene.root(), Core::Geometry { geometry, material })?;
 ///
-/// let mut renderer = Renderer::new(&RendererOptions { device: DeviceChoice::Cpu })?;
+/// let mut renderer = Renderer::new(&RendererOptions::default().with_device(DeviceChoice::Cpu))?;
 /// let view = View::framing(&mut scene, 64, 48)?;
 /// let frame = renderer.render(&mut scene, &view)?;
 /// assert_eq!(frame.report().compile.blas_built, 1);
@@ -54,11 +55,27 @@ pub struct Renderer {
     device: ActiveTracer,
 }
 
-/// How a [`Renderer`] is set up.
+impl fmt::Debug for Renderer {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Renderer").field("device", self.device_info()).finish_non_exhaustive()
+    }
+}
+
+/// How a [`Renderer`] is set up: start from the default and change what differs, as in
+/// `RendererOptions::default().with_device(DeviceChoice::Cpu)`.
 #[derive(Clone, Debug, Default)]
+#[non_exhaustive]
 pub struct RendererOptions {
-    /// What traces.
+    /// Whether a GPU or the CPU traces.
     pub device: DeviceChoice,
+}
+
+impl RendererOptions {
+    /// The same options with another device.
+    #[must_use]
+    pub fn with_device(self, device: DeviceChoice) -> Self {
+        Self { device, ..self }
+    }
 }
 
 impl Renderer {
@@ -71,38 +88,40 @@ impl Renderer {
         Ok(Self { compiler: Compiler::new(), device: ActiveTracer::open(options.device)? })
     }
 
-    /// A renderer with an executor of the application's: a `trace::gpu_tracer::GpuTracer` on the
-    /// application's own device, say. Should that device be lost, every call fails with
-    /// [`Error::DeviceLost`](crate::Error::DeviceLost) until [`set_tracer`](Self::set_tracer).
+    /// A renderer that uses a tracer of the application's, for example a `trace::gpu::GpuTracer` on the application's own
+    /// device. Should that device be lost, every call fails with [`Error::DeviceLost`](crate::Error::DeviceLost) until
+    /// [`set_tracer`](Self::set_tracer).
     pub fn with_tracer(tracer: impl Tracer + 'static) -> Self {
         Self { compiler: Compiler::new(), device: ActiveTracer::from_tracer(Box::new(tracer)) }
     }
 
-    /// Goes on with another executor of the application's, which is then given the scene as it was compiled: nothing is built
-    /// again. On a new device after the old one was lost, say.
+    /// Replaces the tracer, for example after its device was lost. The next call uploads the whole compiled scene to it; no
+    /// acceleration structure is built again.
     pub fn set_tracer(&mut self, tracer: impl Tracer + 'static) {
         self.device = ActiveTracer::from_tracer(Box::new(tracer));
     }
 
-    /// Why [`DeviceChoice::Auto`] came down to the CPU; `None` if it did not.
+    /// Why [`DeviceChoice::Auto`] uses the CPU; `None` while it uses a GPU, and for any other choice.
     pub fn fallback_reason(&self) -> Option<&str> {
         self.device.fallback()
     }
 
-    /// What traces.
+    /// The tracer in use: its executor and the name of its device.
     pub fn device_info(&self) -> &DeviceInfo {
         self.device.tracer().device()
     }
 
-    /// The GPU that traces, for work of the application's own on its device; `None` if none does. It has the scene as of the
-    /// last [`prepare`](Self::prepare) or [`render`](Self::render). When its device is lost the next call replaces it.
+    /// The GPU tracer, for passes of the application's own on its device; `None` if the CPU traces. It holds the scene as of
+    /// the last [`prepare`](Self::prepare) or [`render`](Self::render). After its device was lost the next call replaces the
+    /// tracer: keep no handle to the old device.
     #[cfg(feature = "gpu")]
     pub fn gpu_tracer(&mut self) -> Option<&mut GpuTracer> {
         self.device.tracer_mut().as_gpu()
     }
 
-    /// Brings the device up to date with the scene and draws nothing: for rays of the application's own on the
-    /// [GPU](Self::gpu_tracer). Costs what [`Compiler::compile_from_last_viewpoint`] and the copy of what changed cost.
+    /// Compiles the scene and uploads what changed, without tracing a frame: for applications that trace rays of their own
+    /// on the [GPU](Self::gpu_tracer). Costs what [`Compiler::compile_from_last_viewpoint`] and the upload of the changed
+    /// ranges cost.
     ///
     /// # Errors
     /// As [`render`](Self::render).
@@ -114,34 +133,35 @@ impl Renderer {
         Ok(report)
     }
 
-    /// The point of the world that is (0, 0, 0) on the device, where numbers are f32: it follows the camera. It may move with each
-    /// [`prepare`](Self::prepare) and [`render`](Self::render).
+    /// The render origin, in world space: positions on the device are f32 and relative to it. It follows the camera, so that
+    /// positions near the eye have the full resolution of f32, and may move with each [`prepare`](Self::prepare) and
+    /// [`render`](Self::render).
     pub fn render_origin(&self) -> DVec3 {
         self.compiler.origin()
     }
 
-    /// Draws the scene as it is now: finds what changed since the last call, updates what depends on it, traces.
-    /// The frame stays on the device; [`Frame::image`] reads it back.
+    /// Renders the scene: compiles what changed since the last call, uploads that, traces one frame. The frame stays in
+    /// device memory; [`Frame::image`] reads it back.
     ///
     /// # Errors
     /// As [`View::validate`]; [`Error::Limit`](crate::Error::Limit) if scene or image are too large for the device;
     /// [`Error::DeviceLost`](crate::Error::DeviceLost) and [`Error::OutOfMemory`](crate::Error::OutOfMemory), after which the next call
-    /// does as [`DeviceChoice`] says; [`Error::Gpu`](crate::Error::Gpu) if the driver fails otherwise.
+    /// recovers as [`DeviceChoice`] describes; [`Error::Gpu`](crate::Error::Gpu) if the driver fails otherwise.
     pub fn render(&mut self, scene: &mut Scene, view: &View) -> Result<Frame<'_>> {
         let start = Instant::now();
         view.validate()?;
         self.device.recover()?;
 
-        // 1. Catch up with the scene.
+        // 1. Compile what changed in the scene.
         let compile = self.compiler.compile(scene, view.viewpoint())?;
 
-        // 2. Copy what changed.
+        // 2. Upload the changed ranges.
         let upload_start = Instant::now();
         let uploaded = self.device.tracer_mut().upload(self.compiler.arrays_mut());
         let uploaded_bytes = self.device.record_failure(uploaded)?;
         let upload_time = upload_start.elapsed();
 
-        // 3. Trace.
+        // 3. Trace the frame.
         let trace_start = Instant::now();
         let arrays = self.compiler.arrays();
         let params = view.frame_params(self.compiler.origin(), arrays.lights.len() as u32);
@@ -162,11 +182,11 @@ impl Renderer {
     }
 }
 
-/// Asking what is seen.
+/// Picking and queries.
 impl Renderer {
-    /// What is seen at a pixel of the view, column and row counted from the upper left one: the node, triangle and point that a
-    /// frame of the scene as it is now would show there. `None` for the sky. Catches up with the scene as
-    /// [`render`](Self::render) does, then traces one ray, in main memory whatever the device.
+    /// The closest hit of the camera ray through the centre of a pixel, given as column and row counted from the upper left:
+    /// the node, triangle and point that a frame of the scene would show there. `None` if the ray hits nothing. Compiles the
+    /// scene as [`render`](Self::render) does, then traces one ray on the CPU, whatever the tracer.
     ///
     /// ```
     /// use glam::{DVec3, Vec3};
@@ -177,7 +197,7 @@ impl Renderer {
     /// let material = scene.add_material(Material::default())?;
     /// let triangle = scene.add(scene.root(), Core::Geometry { geometry, material })?;
     ///
-    /// let mut renderer = Renderer::new(&RendererOptions { device: DeviceChoice::Cpu })?;
+    /// let mut renderer = Renderer::new(&RendererOptions::default().with_device(DeviceChoice::Cpu))?;
     /// let view = View::look_at(DVec3::new(0.0, 0.5, 3.0), DVec3::new(0.0, 0.5, 0.0), DVec3::Y, Camera::default(), 64, 48);
     /// let hit = renderer.pick(&mut scene, &view, [32, 24])?.unwrap();
     /// assert_eq!((hit.path.node, hit.triangle), (triangle, 0));
@@ -197,7 +217,7 @@ impl Renderer {
         Ok(Queries::of_compiled_scene(&self.compiler, scene)?.with_ray_mask(view.ray_mask).closest_hit_of_kernel(&ray))
     }
 
-    /// Questions to the scene as it is now, by ray, region or point. Catches up with it first.
+    /// Queries by ray, region and point, on the CPU. Compiles the scene first if it changed.
     ///
     /// # Errors
     /// As [`Queries::new`].
@@ -206,14 +226,20 @@ impl Renderer {
     }
 }
 
-/// A rendered frame, on the device that made it, until the next one.
+/// The frame that was rendered last, in device memory: valid until the next call on the renderer.
 pub struct Frame<'r> {
     device: &'r ActiveTracer,
     report: FrameReport,
 }
 
+impl fmt::Debug for Frame<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Frame").field("report", &self.report).finish_non_exhaustive()
+    }
+}
+
 impl Frame<'_> {
-    /// What was done for it, and why.
+    /// What this frame took: structures built and updated, uploads and times, with the reasons.
     pub fn report(&self) -> &FrameReport {
         &self.report
     }
@@ -227,14 +253,15 @@ impl Frame<'_> {
         self.device.record_failure(self.device.tracer().read_image())
     }
 
-    /// The frame's linear colour where it is, to be drawn to a window: an `Rgba32Float` texture on the renderer's device, to be bound
-    /// (unfiltered) or copied from. `None` if no GPU traced it.
+    /// The frame's linear radiance as an `Rgba32Float` texture on the renderer's device, for example to present it: bind it
+    /// without filtering, or copy from it. `None` if the CPU traced the frame.
     #[cfg(feature = "gpu")]
     pub fn texture(&self) -> Option<&wgpu::Texture> {
         self.device.tracer().texture()
     }
 
-    /// How long the GPU took by its own clock; `None` on a CPU, and where the device has no clock. Waits for the frame.
+    /// Time that the GPU took for the frame, by timestamp queries; `None` on a CPU, and on a device without them. Blocks
+    /// until the frame is complete.
     pub fn gpu_time(&self) -> Option<Duration> {
         self.device.tracer().trace_time()
     }

@@ -1,4 +1,4 @@
-//! Batches of rays of the application's, traced where frames are.
+//! Batches of the application's rays, traced by the renderer's tracer.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -10,18 +10,27 @@ use crate::graph::Scene;
 use crate::math::Bounds;
 use crate::query::{Hit, Queries, Ray};
 
-/// Rays by the batch: what a frame's rays would meet, traced by the renderer's device with all its threads.
+/// Which nodes rays of a batch can hit: those whose own mask (see [`Scene::set_mask`]) has a bit in common with it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct RayMask(pub u32);
+
+impl RayMask {
+    /// All nodes but those whose mask is 0.
+    pub const ALL: Self = Self(u32::MAX);
+}
+
+/// Queries by the batch, traced by the renderer's tracer with all its threads. Hits follow the rules of a frame's rays.
 impl Renderer {
-    /// What each ray meets first of the nodes whose mask shares a bit with `mask`. Catches up with the scene, as
-    /// [`prepare`](Renderer::prepare) does, then traces: tens of millions of rays a second on a GPU, where a batch is split as the
-    /// device's limits demand.
+    /// The closest hit of each ray, among the nodes that `mask` shows. Compiles and uploads the scene as
+    /// [`prepare`](Renderer::prepare) does, then traces; on a GPU, a batch is split to fit the device's buffer limits.
     ///
-    /// For a few rays, [`Queries::closest_hit`] is faster and exact. Rays of a batch are rounded to f32 relative to the
-    /// [render origin](Renderer::render_origin), from where they come near the scene: what they hit may differ where one passes an edge
-    /// within that rounding, and their [`t_min`](Ray::t_min) and [`t_max`](Ray::t_max) are known to it only.
+    /// For a few rays, [`Queries::closest_hit`] is faster and exact. Rays of a batch are moved to just before the bounds of
+    /// the scene and rounded to f32 relative to the [render origin](Renderer::render_origin). A ray that passes an edge
+    /// within this rounding may hit or miss, and [`t_min`](Ray::t_min) and [`t_max`](Ray::t_max) are exact only up to it.
     ///
     /// ```
     /// use ropewalk::glam::{DVec3, Vec3};
+    /// use ropewalk::render::RayMask;
     /// use ropewalk::{Core, DeviceChoice, Geometry, Material, Ray, Renderer, RendererOptions, Scene, Transform};
     ///
     /// // A triangle at z = -5.
@@ -31,42 +40,45 @@ impl Renderer {
     /// let place = scene.add(scene.root(), Transform::from_translation(DVec3::new(0.0, 0.0, -5.0)))?;
     /// let triangle = scene.add(place, Core::Geometry { geometry, material })?;
     ///
-    /// let mut renderer = Renderer::new(&RendererOptions { device: DeviceChoice::Cpu })?;
+    /// let mut renderer = Renderer::new(&RendererOptions::default().with_device(DeviceChoice::Cpu))?;
     /// let rays = [0.5, 2.0].map(|y| Ray::new(DVec3::new(0.0, y, 0.0), DVec3::NEG_Z));
-    /// let hits = renderer.closest_hits(&mut scene, &rays, u32::MAX)?;
+    /// let hits = renderer.closest_hits(&mut scene, &rays, RayMask::ALL)?;
     /// assert_eq!((hits.distance(0), hits.distance(1)), (Some(5.0), None));
     /// let hit = hits.get(0).unwrap();
     /// assert_eq!((hit.path.node, hit.triangle, hit.position), (triangle, 0, DVec3::new(0.0, 0.5, -5.0)));
-    /// assert_eq!(renderer.any_hits(&mut scene, &rays, u32::MAX)?, [true, false]);
+    /// assert_eq!(renderer.any_hits(&mut scene, &rays, RayMask::ALL)?, [true, false]);
     /// # Ok::<(), ropewalk::Error>(())
     /// ```
     ///
     /// # Errors
     /// As [`Ray::validate`] and [`prepare`](Renderer::prepare).
-    pub fn closest_hits<'a>(&'a mut self, scene: &'a mut Scene, rays: &[Ray], mask: u32) -> Result<ClosestHits<'a>> {
-        let places = self.device_rays(scene, rays)?;
-        let rays: Vec<layout::RayRecord> = places.iter().map(|place| place.ray).collect();
-        let traced = self.device.tracer_mut().closest_hits(self.compiler.arrays(), &rays, mask);
+    pub fn closest_hits<'a>(
+        &'a mut self,
+        scene: &'a mut Scene,
+        rays: &[Ray],
+        mask: RayMask,
+    ) -> Result<ClosestHits<'a>> {
+        let batch = self.relative_rays(scene, rays)?;
+        let records: Vec<layout::RayRecord> = batch.iter().map(|ray| ray.record).collect();
+        let traced = self.device.tracer_mut().closest_hits(self.compiler.arrays(), &records, mask.0);
         let hits = self.device.record_failure(traced)?;
-        let distances = hits.iter().zip(&places).map(|(hit, place)| place.distance(hit.t)).collect();
+        let distances = hits.iter().zip(&batch).map(|(hit, ray)| ray.distance(hit.t)).collect();
         Ok(ClosestHits { queries: Queries::of_compiled_scene(&self.compiler, scene)?, hits, distances })
     }
 
-    /// Whether each ray meets anything that lets no light through, of the nodes whose mask shares a bit with `mask`: what a shadow
-    /// ray asks. Unlike [`closest_hits`](Renderer::closest_hits) it is stopped by both sides of every triangle, and passes surfaces
-    /// that blend or transmit.
+    /// Occlusion of each ray, as of a shadow ray: whether it hits an opaque surface of a node that `mask` shows. Unlike in
+    /// [`closest_hits`](Renderer::closest_hits), back faces are hit too, and surfaces that blend or transmit never are.
     ///
     /// # Errors
     /// As [`closest_hits`](Renderer::closest_hits).
-    pub fn any_hits(&mut self, scene: &mut Scene, rays: &[Ray], mask: u32) -> Result<Vec<bool>> {
-        let places = self.device_rays(scene, rays)?;
-        let rays: Vec<layout::RayRecord> = places.iter().map(|place| place.ray).collect();
-        let traced = self.device.tracer_mut().any_hits(self.compiler.arrays(), &rays, mask);
+    pub fn any_hits(&mut self, scene: &mut Scene, rays: &[Ray], mask: RayMask) -> Result<Vec<bool>> {
+        let records: Vec<_> = self.relative_rays(scene, rays)?.iter().map(|ray| ray.record).collect();
+        let traced = self.device.tracer_mut().any_hits(self.compiler.arrays(), &records, mask.0);
         self.device.record_failure(traced)
     }
 
-    /// Catches up with the scene and gives the rays in the device's terms.
-    fn device_rays(&mut self, scene: &mut Scene, rays: &[Ray]) -> Result<Vec<RelativeRay>> {
+    /// Compiles and uploads the scene, and converts the rays to records relative to the render origin.
+    fn relative_rays(&mut self, scene: &mut Scene, rays: &[Ray]) -> Result<Vec<RelativeRay>> {
         rays.iter().try_for_each(Ray::validate)?;
         self.prepare(scene)?;
         let bounds = Queries::of_compiled_scene(&self.compiler, scene)?.bounds();
@@ -75,7 +87,7 @@ impl Renderer {
     }
 }
 
-/// The closest hits of a batch of rays, in their order. The scene cannot be edited while they are looked at.
+/// The closest hits of a batch of rays, in their order. They borrow the scene, which cannot be edited meanwhile.
 #[derive(Debug)]
 pub struct ClosestHits<'a> {
     queries: Queries<'a>,
@@ -94,72 +106,75 @@ impl ClosestHits<'_> {
         self.hits.is_empty()
     }
 
-    /// Where ray `i` hits, in units of its direction's length; `None` where it hits nothing, or is none of the batch.
+    /// Distance to the hit of ray `i`, in units of its direction's length; `None` if it misses, or if there is no ray `i`.
     pub fn distance(&self, i: usize) -> Option<f64> {
         self.hits.get(i).filter(|hit| hit.instance != NONE).map(|_| self.distances[i])
     }
 
-    /// What ray `i` hits: looked up in main memory, some hundred nanoseconds.
+    /// The hit of ray `i`, with its node and material looked up on the CPU; `None` if it misses.
     pub fn get(&self, i: usize) -> Option<Hit> {
         self.queries.hit_from_record(self.hits.get(i)?, self.distances[i])
     }
 
-    /// What each ray hits.
+    /// The hit of each ray.
     pub fn iter(&self) -> impl ExactSizeIterator<Item = Option<Hit>> + '_ {
         (0..self.len()).map(|i| self.get(i))
     }
 
-    /// The hits as the device gave them: 32 bytes each, indices into the [device arrays](crate::device::DeviceArrays), and `t` in
-    /// a unit of its own.
+    /// The hit records as traced: 32 bytes each, with indices into the [device arrays](crate::device::DeviceArrays). Their
+    /// `t` is that of the moved and scaled ray: [`distance`](Self::distance) has the unit of the ray that was given.
     pub fn records(&self) -> &[layout::HitRecord] {
         &self.hits
     }
 }
 
-/// A ray in f32, relative to the render origin, and what its t means.
+/// A ray record relative to the render origin, and the map from its t to that of the given ray:
+/// `t_offset + t / t_scale`.
 struct RelativeRay {
-    ray: layout::RayRecord,
-    /// Where on the given ray it starts.
-    start: f64,
-    /// What 1 on the given ray is on this one: a power of two, so that nothing is rounded.
-    scale: f64,
+    record: layout::RayRecord,
+    /// The given ray's t where the record's ray starts.
+    t_offset: f64,
+    /// The record's t for each unit of the given ray's: a power of two, so that the conversion does not round.
+    t_scale: f64,
 }
 
 impl RelativeRay {
-    /// Hits nothing.
+    /// A ray whose interval of t is empty, so that it misses everything.
     const MISS: Self = Self {
-        ray: layout::RayRecord { origin: [0.0; 3], t_min: 1.0, direction: [1.0, 0.0, 0.0], t_max: 0.0 },
-        start: 0.0,
-        scale: 1.0,
+        record: layout::RayRecord { origin: [0.0; 3], t_min: 1.0, direction: [1.0, 0.0, 0.0], t_max: 0.0 },
+        t_offset: 0.0,
+        t_scale: 1.0,
     };
 
     fn new(ray: &Ray, origin: DVec3, bounds: &Bounds) -> Self {
-        // 1. A direction whose longest component is between 1 and 2.
-        let longest = ray.direction.abs().max_element();
-        let scale = power_of_two(longest);
-        let direction = ray.direction / scale;
+        // 1. Scale the direction by a power of two, so that its longest component is between 1 and 2.
+        let t_scale = power_of_two(ray.direction.abs().max_element());
+        let direction = ray.direction / t_scale;
 
-        // 2. A start near the scene: a scene's size before its box, and not before the ray's own start, unless that looks back.
+        // 2. Move the start to two sizes of the scene before its bounds, but not before the ray's own start, unless its
+        //    interval begins behind that.
         let Some(entry) = box_entry(bounds, ray.origin, direction) else { return Self::MISS };
         let size = (bounds.min - origin).abs().max((bounds.max - origin).abs()).max_element();
-        // In steps of a power of two, so that distances keep their bits.
+        // The offset is a multiple of a power of two, so that adding it to a distance does not round.
         let step = power_of_two(size);
-        let start = (((entry - 2.0 * size) / step).floor() * step / scale).max(ray.t_min.min(0.0));
-        let from = (ray.origin - origin) + ray.direction * start;
+        let t_offset = (((entry - 2.0 * size) / step).floor() * step / t_scale).max(ray.t_min.min(0.0));
+        let from = (ray.origin - origin) + ray.direction * t_offset;
+
+        // 3. Round to f32, where the numbers are within its range.
         let most = f64::from(f32::MAX);
-        let [t_min, t_max] = [ray.t_min, ray.t_max].map(|t| ((t - start) * scale).clamp(-most, most) as f32);
-        let ray = layout::RayRecord {
+        let [t_min, t_max] = [ray.t_min, ray.t_max].map(|t| ((t - t_offset) * t_scale).clamp(-most, most) as f32);
+        let record = layout::RayRecord {
             origin: from.as_vec3().to_array(),
             t_min: t_min.max(0.0),
             direction: direction.as_vec3().to_array(),
             t_max,
         };
-        if from.as_vec3().is_finite() && t_max >= 0.0 { Self { ray, start, scale } } else { Self::MISS }
+        if from.as_vec3().is_finite() && t_max >= 0.0 { Self { record, t_offset, t_scale } } else { Self::MISS }
     }
 
-    /// Where on the given ray t is.
+    /// The given ray's t for one of the record's ray.
     fn distance(&self, t: f32) -> f64 {
-        self.start + f64::from(t) / self.scale
+        self.t_offset + f64::from(t) / self.t_scale
     }
 }
 
@@ -168,7 +183,7 @@ fn power_of_two(value: f64) -> f64 {
     f64::from_bits(value.to_bits() & f64::INFINITY.to_bits()).max(f64::MIN_POSITIVE)
 }
 
-/// Where a line meets a box first; `None` if it does not, or the box is empty.
+/// The t at which a line enters a box; `None` if it passes the box, or the box is empty.
 fn box_entry(bounds: &Bounds, origin: DVec3, direction: DVec3) -> Option<f64> {
     if bounds.is_empty() {
         return None;
@@ -185,7 +200,7 @@ fn box_entry(bounds: &Bounds, origin: DVec3, direction: DVec3) -> Option<f64> {
         let (a, b) = (low / direction[axis], high / direction[axis]);
         (near, far) = (near.max(a.min(b)), far.min(a.max(b)));
     }
-    // Rounding may have put the line a little beside the box.
+    // Rounding may have moved the line to just beside the box.
     let slack = 1e-6 * near.abs().max(far.abs());
     (near <= far + slack).then_some(near)
 }

@@ -1,4 +1,4 @@
-//! What is seen of a scene: a camera, an image size, a sky.
+//! A view of a scene: the pose and projection of a camera, the size of the image, path depth, sky and ray mask.
 
 use std::ops::Range;
 
@@ -12,7 +12,7 @@ use crate::math::Bounds;
 use crate::query::{HalfSpace, Region};
 use crate::{Error, Result, trace};
 
-/// What [`Renderer::render`](super::Renderer::render) draws.
+/// Camera, image and sky for [`Renderer::render`](super::Renderer::render).
 ///
 /// ```
 /// use ropewalk::View;
@@ -24,21 +24,21 @@ use crate::{Error, Result, trace};
 /// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct View {
-    /// Where the camera stands; it looks along its -Z axis with +Y up. Scale is ignored.
+    /// Pose of the camera in world space; it looks along its -Z axis with +Y up. Scale is ignored.
     pub world_from_view: DAffine3,
-    /// Its projection.
+    /// Projection of the camera.
     pub camera: Camera,
-    /// Pixels a row.
+    /// Width of the image in pixels.
     pub width: u32,
-    /// Rows.
+    /// Height of the image in pixels.
     pub height: u32,
     /// How many reflections and refractions a path may have, at most [`MAX_DEPTH`](Self::MAX_DEPTH).
     pub max_depth: u32,
-    /// What rays see that leave the scene, and what lights it from all around.
+    /// Environment radiance: what rays see that leave the scene, and ambient light from all directions.
     pub sky: Sky,
-    /// Nodes whose mask shares no bit with this are not seen.
+    /// Rays pass through nodes whose mask has no bit in common with this.
     pub ray_mask: u32,
-    /// Whether the frame also holds depth, normals, and node and triangle ids.
+    /// Whether the frame also stores depth, normal, node and triangle of each pixel (arbitrary output variables).
     pub aovs: bool,
 }
 
@@ -46,7 +46,7 @@ impl View {
     /// The most reflections and refractions that a path may have.
     pub const MAX_DEPTH: u32 = trace::MAX_DEPTH;
 
-    /// Looks from `eye` at `target`, world space.
+    /// A view from `eye` towards `target`, both in world space; `up` need not be perpendicular to the view direction.
     pub fn look_at(eye: DVec3, target: DVec3, up: DVec3, camera: Camera, width: u32, height: u32) -> Self {
         Self {
             world_from_view: Transform::looking_at(eye, target, up).to_affine(),
@@ -60,7 +60,7 @@ impl View {
         }
     }
 
-    /// Looks through a camera node, from where it is now. O(depth of the node).
+    /// The view of a camera node at its current world transform. O(depth of the node).
     ///
     /// # Errors
     /// [`Error::StaleKey`], or [`Error::WrongCore`] if the node is not a camera.
@@ -73,20 +73,21 @@ impl View {
         Ok(Self { world_from_view, ..Self::look_at(DVec3::ZERO, DVec3::NEG_Z, DVec3::Y, camera, width, height) })
     }
 
-    /// Sees the box around the scene, as large as it fits, from the front, a little from the right and above. Costs as [`Scene::world_bounds`].
+    /// A view that fits the world bounds of the scene into the image, seen from the front, a little from the right and from
+    /// above, by the default camera. Costs as [`Scene::world_bounds`].
     ///
     /// # Errors
     /// As [`Scene::hierarchy`].
     pub fn framing(scene: &mut Scene, width: u32, height: u32) -> Result<Self> {
         let bounds = scene.world_bounds(scene.root())?;
-        // A scene of one point is seen from a distance that f64 resolves there.
+        // The distance to a scene without extent must still be representable in f64 where the scene is.
         let point = Bounds { min: DVec3::ZERO, max: DVec3::ZERO };
         let bounds = if bounds.is_empty() { point } else { bounds };
         let (center, least) = (bounds.center(), bounds.min.abs().max(bounds.max.abs()).max_element() * 1e-9);
         let camera = Camera::default();
         let mut view = Self::look_at(center + DVec3::new(0.45, 0.35, 1.0), center, DVec3::Y, camera, width, height);
 
-        // The least distance from the centre at which each corner is in the picture, and a margin.
+        // The least distance at which every corner of the bounds projects into the image, and 8 % more.
         let (half_width, half_height, _) = view.half_extent();
         let view_from_world = view.world_from_view.matrix3.transpose();
         let distance = bounds.corners().map(|corner| {
@@ -99,7 +100,7 @@ impl View {
         Ok(view)
     }
 
-    /// Checks all that the renderer relies on.
+    /// Checks every number that rendering depends on.
     ///
     /// # Errors
     /// [`Error::OutOfRange`] names the value: a depth beyond [`MAX_DEPTH`](Self::MAX_DEPTH), a camera pose that is not finite or
@@ -117,7 +118,7 @@ impl View {
         require(up.try_normalize().is_some(), "sky up", &up, "finite and not zero")
     }
 
-    /// What can be seen of the world: from the camera on, within the image's edges. For
+    /// The view frustum in world space: it begins at the camera and has no far plane. For
     /// [`Queries::overlapping`](crate::Queries::overlapping).
     ///
     /// # Errors
@@ -126,8 +127,8 @@ impl View {
         self.pixel_frustum(0..self.width, 0..self.height)
     }
 
-    /// What can be seen of the world through these columns and rows of pixels, counted from the upper left one: what a
-    /// rubber band selects.
+    /// The part of the [frustum](Self::frustum) seen through these columns and rows of pixels, counted from the upper left:
+    /// for selection by a rubber band.
     ///
     /// # Errors
     /// As [`frustum`](Self::frustum), and [`Error::OutOfRange`] for pixels outside the image, or none.
@@ -136,16 +137,18 @@ impl View {
         self.check_pixels(columns.clone(), rows.clone())?;
         let axes = self.world_from_view.matrix3;
         let [right, up, back] = [axes.x_axis, axes.y_axis, axes.z_axis].map(DVec3::normalize_or_zero);
-        // Coordinates in the view, as rows: across, above and ahead.
+        // 1. The rows of view_from_world, which give the coordinates to the right, above and ahead.
         let view_from_world = DMat3::from_cols(right, up, -back).inverse().transpose();
         let [across, above, ahead] = [view_from_world.x_axis, view_from_world.y_axis, view_from_world.z_axis];
 
         let (half_width, half_height, orthographic) = self.half_extent();
         let (size, shift) = (DVec2::new(half_width.into(), half_height.into()), self.camera.shift().as_dvec2());
-        let place = |edge: u32, count: u32| f64::from(edge) / f64::from(count) * 2.0 - 1.0;
-        let low = (DVec2::new(place(columns.start, self.width), -place(rows.end, self.height)) + shift) * size;
-        let high = (DVec2::new(place(columns.end, self.width), -place(rows.start, self.height)) + shift) * size;
+        // 2. The edges of the rectangle of pixels, in the plane at distance 1 or, orthographic, at the eye.
+        let to_ndc = |edge: u32, count: u32| f64::from(edge) / f64::from(count) * 2.0 - 1.0;
+        let low = (DVec2::new(to_ndc(columns.start, self.width), -to_ndc(rows.end, self.height)) + shift) * size;
+        let high = (DVec2::new(to_ndc(columns.end, self.width), -to_ndc(rows.start, self.height)) + shift) * size;
 
+        // 3. A half-space for each edge: perspective ones through the eye, orthographic ones parallel, with a near plane.
         let eye = self.world_from_view.translation;
         if orthographic == 0 {
             let normals =
@@ -156,7 +159,7 @@ impl View {
         Region::new(sides.map(|(normal, out)| HalfSpace { normal, offset: normal.dot(eye) + out }))
     }
 
-    /// Checks that there are such pixels.
+    /// Checks that the pixels are inside the image, and not none.
     pub(super) fn check_pixels(&self, columns: Range<u32>, rows: Range<u32>) -> Result<()> {
         let is_within = |range: &Range<u32>, end| !range.is_empty() && range.end <= end;
         let is_inside = is_within(&columns, self.width) && is_within(&rows, self.height);
@@ -164,7 +167,7 @@ impl View {
         require(is_inside, "pixel", &value, "inside the image")
     }
 
-    /// Who looks, for levels of detail and billboards.
+    /// The viewpoint that levels of detail, billboards and the render origin are chosen for.
     pub fn viewpoint(&self) -> Viewpoint {
         let (_, half_height, orthographic) = self.half_extent();
         let height = 2.0 * f64::from(half_height);
@@ -173,9 +176,9 @@ impl View {
         Viewpoint { eye: self.world_from_view.translation, up, height }
     }
 
-    /// What an executor gets of this view, which must be [valid](Self::validate): positions are relative to `origin` (see
-    /// [`Compiler::render_origin`](crate::compile::Compiler::origin)), and the first `light_count` lights of the device arrays shine. For
-    /// [frames](crate::trace::FrameRequest) that an application has traced by an executor of its own.
+    /// The uniform buffer of a frame of this view, which must be [valid](Self::validate): positions are relative to `origin`
+    /// (see [`Compiler::origin`](crate::compile::Compiler::origin)), and the first `light_count` lights of the device arrays
+    /// are used. For [frames](crate::trace::FrameRequest) that an application traces by a tracer of its own.
     pub fn frame_params(&self, origin: DVec3, light_count: u32) -> FrameParams {
         let axes = self.world_from_view.matrix3;
         let [right, up, back] = [axes.x_axis, axes.y_axis, axes.z_axis].map(|axis| axis.normalize_or_zero().as_vec3());
@@ -204,8 +207,9 @@ impl View {
         }
     }
 
-    /// Half the width and height of the image, at distance 1 (perspective) or anywhere (orthographic), grown where the
-    /// image has another aspect than the camera, so that all of the camera's field is in the image.
+    /// Half the width and height of the image, at distance 1 (perspective) or at any distance (orthographic), and 1 for an
+    /// orthographic camera. Where the image has another aspect than the camera it shows more than the camera's field, never
+    /// less.
     fn half_extent(&self) -> (f32, f32, u32) {
         let image_aspect = self.width.max(1) as f32 / self.height.max(1) as f32;
         let (half_width, half_height, orthographic) = match self.camera {
@@ -221,7 +225,7 @@ impl View {
     }
 }
 
-/// The light that comes from all around: a gradient from straight up over the horizon to straight down. Linear radiance.
+/// Environment radiance: a gradient from straight up over the horizon to straight down. Linear.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sky {
     /// Straight up.
@@ -235,7 +239,7 @@ pub struct Sky {
 }
 
 impl Default for Sky {
-    /// Grey, and so dark that a white surface below it and a light of 2.6 lux is not yet white in the image.
+    /// Grey, and dark enough that a white surface lit by it and by 2.6 lux is not yet white in the image.
     fn default() -> Self {
         let [zenith, horizon, ground] = [0.22, 0.30, 0.10].map(Vec3::splat);
         Self { zenith, horizon, ground, up: Vec3::Y }
@@ -243,7 +247,7 @@ impl Default for Sky {
 }
 
 impl Sky {
-    /// The same radiance from everywhere.
+    /// The same radiance from all directions.
     pub fn uniform(radiance: Vec3) -> Self {
         Self { zenith: radiance, horizon: radiance, ground: radiance, up: Vec3::Y }
     }

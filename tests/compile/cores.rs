@@ -36,7 +36,7 @@ fn view_from(eye: DVec3) -> View {
 }
 
 fn cpu() -> Renderer {
-    Renderer::new(&RendererOptions { device: DeviceChoice::Cpu }).unwrap()
+    Renderer::new(&RendererOptions::default().with_device(DeviceChoice::Cpu)).unwrap()
 }
 
 /// The node in the middle of the picture.

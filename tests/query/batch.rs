@@ -1,6 +1,7 @@
 //! Batches of rays on every device against exact queries one by one.
 
 use glam::DVec3;
+use ropewalk::render::RayMask;
 use ropewalk::trace::{Cpu, Emulated};
 use ropewalk::{Core, Error, Geometry, Material, Ray, Renderer, Scene, Transform};
 
@@ -68,7 +69,7 @@ fn every_device_hits_what_exact_queries_hit() {
                 let device = renderer.device_info().executor;
                 let queries = renderer.queries(&mut scene).unwrap().with_ray_mask(mask);
                 let expected: Vec<_> = rays.iter().map(|ray| queries.closest_hit(ray).unwrap()).collect();
-                let hits = renderer.closest_hits(&mut scene, &rays, mask).unwrap();
+                let hits = renderer.closest_hits(&mut scene, &rays, RayMask(mask)).unwrap();
                 assert_eq!(hits.len(), RAYS);
                 let (mut differ, mut compared) = (0, 0);
                 for (i, (found, expected)) in hits.iter().zip(&expected).enumerate() {
@@ -102,7 +103,7 @@ fn any_hits_are_what_stops_light() {
     let rays = rays(DVec3::ZERO, 1.0, 2000);
     for mut renderer in renderers() {
         let device = renderer.device_info().executor;
-        let found = renderer.any_hits(&mut scene, &rays, u32::MAX).unwrap();
+        let found = renderer.any_hits(&mut scene, &rays, RayMask::ALL).unwrap();
         let queries = renderer.queries(&mut scene).unwrap();
         // Everything is opaque and both-sided: the same question.
         let expected: Vec<bool> = rays.iter().map(|ray| queries.any_hit(ray).unwrap()).collect();
@@ -121,8 +122,8 @@ fn batches_follow_the_scene_and_refuse_what_is_no_ray() {
     for mut renderer in renderers() {
         let mut scene = Scene::new();
         let ray = Ray::new(DVec3::new(0.1, 0.2, 5.0), DVec3::NEG_Z);
-        assert!(renderer.closest_hits(&mut scene, &[ray], 1).unwrap().get(0).is_none());
-        assert!(renderer.any_hits(&mut scene, &[], 1).unwrap().is_empty());
+        assert!(renderer.closest_hits(&mut scene, &[ray], RayMask(1)).unwrap().get(0).is_none());
+        assert!(renderer.any_hits(&mut scene, &[], RayMask(1)).unwrap().is_empty());
         let mesh = Mesh::cube();
         let geometry = scene.add_geometry(Geometry::new(mesh.positions, mesh.indices)).unwrap();
         let material = scene.add_material(Material::default()).unwrap();
@@ -130,13 +131,13 @@ fn batches_follow_the_scene_and_refuse_what_is_no_ray() {
         scene.add(place, Core::Geometry { geometry, material }).unwrap();
         for z in [0.0, -1.0, 2.0] {
             scene.set_local(place, Transform::from_translation(DVec3::Z * z)).unwrap();
-            let hits = renderer.closest_hits(&mut scene, &[ray, ray], 1).unwrap();
+            let hits = renderer.closest_hits(&mut scene, &[ray, ray], RayMask(1)).unwrap();
             assert!((hits.distance(1).unwrap() - (4.0 - z)).abs() < 1e-6 && hits.distance(2).is_none());
             assert_eq!(hits.get(2), None);
         }
         for bad in [Ray { t_min: f64::NAN, ..ray }, Ray::new(DVec3::ZERO, DVec3::ZERO), Ray::new(DVec3::NAN, DVec3::X)]
         {
-            let error = renderer.closest_hits(&mut scene, &[ray, bad], 1).unwrap_err();
+            let error = renderer.closest_hits(&mut scene, &[ray, bad], RayMask(1)).unwrap_err();
             assert!(matches!(error, Error::OutOfRange { .. }), "{error}");
         }
         // As far away as numbers go: no harm.
@@ -145,7 +146,7 @@ fn batches_follow_the_scene_and_refuse_what_is_no_ray() {
             Ray::new(DVec3::MIN, DVec3::splat(1e-320)),
             Ray { t_min: f64::INFINITY, ..ray },
         ];
-        let hits = renderer.closest_hits(&mut scene, &wild, 1).unwrap();
+        let hits = renderer.closest_hits(&mut scene, &wild, RayMask(1)).unwrap();
         assert!(hits.iter().flatten().all(|hit| hit.position.abs().max_element() < 4.0));
     }
 }

@@ -39,7 +39,7 @@ fn impossible_questions_are_typed_errors() {
 #[test]
 fn pixels_outside_the_image_are_typed_errors() {
     let mut scene = Scene::new();
-    let mut renderer = Renderer::new(&RendererOptions { device: DeviceChoice::Cpu }).unwrap();
+    let mut renderer = Renderer::new(&RendererOptions::default().with_device(DeviceChoice::Cpu)).unwrap();
     let view = View::look_at(DVec3::Z, DVec3::ZERO, DVec3::Y, Camera::default(), 40, 30);
     for pixel in [[40, 0], [0, 30], [u32::MAX, 0]] {
         assert!(is_out_of_range(renderer.pick(&mut scene, &view, pixel), "pixel"));

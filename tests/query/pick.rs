@@ -78,7 +78,7 @@ fn check(renderer: &mut Renderer, center: DVec3) {
 }
 
 fn renderer(device: DeviceChoice) -> Renderer {
-    Renderer::new(&RendererOptions { device }).unwrap()
+    Renderer::new(&RendererOptions::default().with_device(device)).unwrap()
 }
 
 #[test]

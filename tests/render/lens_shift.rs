@@ -26,7 +26,7 @@ fn scene() -> Scene {
 
 /// Node and triangle of each pixel.
 fn ids(scene: &mut Scene, camera: Camera, [width, height]: [u32; 2]) -> Vec<(NodeKey, u32)> {
-    let mut renderer = Renderer::new(&RendererOptions { device: DeviceChoice::Cpu }).unwrap();
+    let mut renderer = Renderer::new(&RendererOptions::default().with_device(DeviceChoice::Cpu)).unwrap();
     let view = View::look_at(DVec3::new(1.0, 1.5, 8.0), DVec3::new(0.3, 0.2, 0.0), DVec3::Y, camera, width, height);
     let aovs = renderer.render(scene, &View { aovs: true, ..view }).unwrap().image().unwrap().aovs.unwrap();
     aovs.node.into_iter().zip(aovs.triangle).collect()

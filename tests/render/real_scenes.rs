@@ -8,7 +8,7 @@ use ropewalk_testkit::corpus::{gltf_files, scenes};
 #[test]
 fn every_scene_is_drawn_whole() {
     let Some(folder) = scenes("every_scene_is_drawn_whole") else { return };
-    let mut renderer = Renderer::new(&RendererOptions { device: DeviceChoice::Cpu }).unwrap();
+    let mut renderer = Renderer::new(&RendererOptions::default().with_device(DeviceChoice::Cpu)).unwrap();
     let (mut drawn, mut refused) = (0, 0);
     for file in ["gltf", "meshes", "scenes"].iter().flat_map(|kind| gltf_files(&folder.join(kind))) {
         let name = file.display();

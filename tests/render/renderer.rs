@@ -56,7 +56,7 @@ fn view(offset: DVec3) -> View {
 }
 
 fn cpu() -> Renderer {
-    Renderer::new(&RendererOptions { device: DeviceChoice::Cpu }).unwrap()
+    Renderer::new(&RendererOptions::default().with_device(DeviceChoice::Cpu)).unwrap()
 }
 
 #[test]

@@ -38,7 +38,7 @@ fn shared(window: &WindowDevice) -> Result<Opened> {
 }
 
 fn own(device: DeviceChoice) -> Result<Opened> {
-    let renderer = Renderer::new(&RendererOptions { device })?;
+    let renderer = Renderer::new(&RendererOptions::default().with_device(device))?;
     let fallback = renderer.fallback_reason().map(str::to_owned);
     Ok(Opened { renderer, fallback })
 }

@@ -149,7 +149,7 @@ mod tests {
                 let material = scene.add_material(Material::default()).unwrap();
                 let node = scene.add(scene.root(), Core::Geometry { geometry, material }).unwrap();
                 view.aovs = true;
-                let mut renderer = Renderer::new(&RendererOptions { device: DeviceChoice::Cpu }).unwrap();
+                let mut renderer = Renderer::new(&RendererOptions::default().with_device(DeviceChoice::Cpu)).unwrap();
                 let image = renderer.render(&mut scene, &view).unwrap().image().unwrap();
                 assert_eq!(image.node_at(pixel.0, pixel.1), Some(node));
             }

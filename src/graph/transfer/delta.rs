@@ -119,7 +119,7 @@ impl Scene {
     /// let (deltas, received) = mpsc::channel::<Delta>();
     /// let renderer = std::thread::spawn(move || -> ropewalk::Result<usize> {
     ///     let mut replica = Scene::new();
-    ///     let mut renderer = Renderer::new(&RendererOptions { device: DeviceChoice::Cpu })?;
+    ///     let mut renderer = Renderer::new(&RendererOptions::default().with_device(DeviceChoice::Cpu))?;
     ///     while let Ok(delta) = received.recv() {
     ///         replica.apply(&delta)?;
     ///         for delta in received.try_iter() {

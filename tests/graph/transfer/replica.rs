@@ -104,7 +104,7 @@ fn replicas_on_threads_see_whole_frames() {
 /// What a replica shows is what the scene showed, while the scene is already another.
 #[test]
 fn a_replica_is_drawn_while_the_scene_is_edited() {
-    let options = RendererOptions { device: DeviceChoice::Cpu };
+    let options = RendererOptions::default().with_device(DeviceChoice::Cpu);
     let mut scene = sample();
     let view = View::framing(&mut scene, 32, 24).unwrap();
     let expected = Renderer::new(&options).unwrap().render(&mut scene, &view).unwrap().image().unwrap().color.clone();

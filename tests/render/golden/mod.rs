@@ -104,7 +104,7 @@ fn render(build: Build, device: DeviceChoice) -> Result<Image> {
     let mut scene = Scene::new();
     let view = build(&mut scene)?;
     let view = View { width: view.width * SAMPLES, height: view.height * SAMPLES, ..view };
-    let mut renderer = Renderer::new(&RendererOptions { device })?;
+    let mut renderer = Renderer::new(&RendererOptions::default().with_device(device))?;
     renderer.render(&mut scene, &view)?.image()?.downscaled(SAMPLES)
 }
 

@@ -98,7 +98,7 @@ fn draw(mut renderer: Renderer) -> Image {
 }
 
 fn open(device: DeviceChoice) -> ropewalk::Result<Renderer> {
-    Renderer::new(&RendererOptions { device })
+    Renderer::new(&RendererOptions::default().with_device(device))
 }
 
 /// How many pixels differ at all, and by how much at most.

@@ -85,7 +85,7 @@ pub fn black() -> Sky {
 }
 
 pub fn render(scene: &mut Scene, view: &View) -> Image {
-    let mut renderer = Renderer::new(&RendererOptions { device: DeviceChoice::Cpu }).unwrap();
+    let mut renderer = Renderer::new(&RendererOptions::default().with_device(DeviceChoice::Cpu)).unwrap();
     renderer.render(scene, view).unwrap().image().unwrap()
 }
 

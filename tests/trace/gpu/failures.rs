@@ -30,7 +30,9 @@ fn draw(renderer: &mut Renderer, scene: &mut Scene, view: &View) -> Image {
 
 #[test]
 fn a_renderer_opens_its_device_again_and_uploads_everything_but_builds_nothing() {
-    let Some(mut renderer) = usable(Renderer::new(&RendererOptions { device: DeviceChoice::Gpu })) else { return };
+    let Some(mut renderer) = usable(Renderer::new(&RendererOptions::default().with_device(DeviceChoice::Gpu))) else {
+        return;
+    };
     let mut scene = scene();
     let view = View::framing(&mut scene, 40, 30).unwrap();
     let first = renderer.render(&mut scene, &view).unwrap();
@@ -78,7 +80,9 @@ fn a_lost_device_of_the_application_is_the_applications_to_replace() {
 
 #[test]
 fn an_image_that_memory_cannot_hold_is_refused_and_the_next_is_drawn() {
-    let Some(mut renderer) = usable(Renderer::new(&RendererOptions { device: DeviceChoice::Gpu })) else { return };
+    let Some(mut renderer) = usable(Renderer::new(&RendererOptions::default().with_device(DeviceChoice::Gpu))) else {
+        return;
+    };
     let mut scene = scene();
     let view = View::framing(&mut scene, 40, 30).unwrap();
     let expected = draw(&mut renderer, &mut scene, &view);

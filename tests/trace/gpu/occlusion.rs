@@ -36,7 +36,9 @@ const OCCLUSION: Occlusion = Occlusion {
 
 #[test]
 fn an_applications_shader_sees_what_exact_queries_see() {
-    let Some(mut renderer) = usable(Renderer::new(&RendererOptions { device: DeviceChoice::Gpu })) else { return };
+    let Some(mut renderer) = usable(Renderer::new(&RendererOptions::default().with_device(DeviceChoice::Gpu))) else {
+        return;
+    };
     let mut scene = scene();
     let found = OCCLUSION.compute(&mut renderer, &mut scene).unwrap().unwrap();
 

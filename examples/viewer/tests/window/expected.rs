@@ -21,7 +21,7 @@ impl Expected {
         let camera = builtin::build(&mut scene).unwrap();
         let mut view = View::from_camera(&scene, camera, width.into(), height.into()).unwrap();
         (view.sky, view.aovs) = (builtin::sky(), true);
-        let renderer = Renderer::new(&RendererOptions { device: DeviceChoice::Cpu }).unwrap();
+        let renderer = Renderer::new(&RendererOptions::default().with_device(DeviceChoice::Cpu)).unwrap();
         Self { scene, view, renderer }
     }
 
