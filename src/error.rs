@@ -1,4 +1,4 @@
-//! The error type of the crate, the types of its fields, and the checks that make errors in one place.
+//! The error type of the crate, the types of its fields, and the checks that many modules share.
 
 use std::fmt::{self, Debug};
 use std::io;
@@ -215,7 +215,7 @@ impl Error {
         Self::Io { path: path.to_owned(), source: source.into() }
     }
 
-    /// The error of needing more of a resource than there is. The only place that makes it; most callers call
+    /// The error of needing more of a resource than there is. The only function that constructs it; most callers call
     /// [`require_within`].
     pub(crate) fn limit(resource: Resource, needed: u64, limit: u64) -> Self {
         Self::Limit { resource, needed, limit }
@@ -487,7 +487,7 @@ mod tests {
         assert_eq!(source.kind(), io::ErrorKind::NotFound);
     }
 
-    /// A second place would have words of its own for the same limit.
+    /// A second one would word the same limit differently.
     #[test]
     fn errors_of_limits_are_made_in_one_place() {
         let literal = ["::Limit", " { resource"].concat();

@@ -341,7 +341,7 @@ impl Scene {
     }
 
     fn free_geometry(&mut self, key: GeometryKey) {
-        if self.keeps_unused {
+        if self.defers_release {
             return;
         }
         self.save_prior_state(key);
@@ -350,7 +350,7 @@ impl Scene {
     }
 
     fn free_material(&mut self, key: MaterialKey) {
-        if self.keeps_unused {
+        if self.defers_release {
             return;
         }
         self.save_prior_state(key);
@@ -361,7 +361,7 @@ impl Scene {
     }
 
     fn free_texture(&mut self, key: TextureKey) {
-        if self.keeps_unused {
+        if self.defers_release {
             return;
         }
         self.save_prior_state(key);

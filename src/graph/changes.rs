@@ -125,7 +125,7 @@ impl ChangeLog {
         if self.is_caught_up(scene, cursor) {
             return Changes::Since(Vec::new());
         }
-        // 2. Close the open segment: what comes from now on is new to this cursor.
+        // 2. Open a new segment: later changes are new to this cursor.
         self.forget_dropped_cursors();
         let now = self.begin_segment();
         // 3. Advance the cursor, and merge the segments since its last read, or subscribe it.
@@ -141,7 +141,7 @@ impl ChangeLog {
                 Changes::Everything
             }
         };
-        // 4. Merge segments at whose start no cursor stands any more.
+        // 4. Merge segments that no longer have a cursor at their start.
         self.merge_between_cursors();
         changes
     }
@@ -190,7 +190,7 @@ impl ChangeLog {
         merged.entries
     }
 
-    /// Merges segments until a cursor stands at the start of each.
+    /// Merges segments until each has a cursor at its start.
     fn merge_between_cursors(&mut self) {
         self.drop_read_segments();
         let starts = self.positions();
@@ -228,7 +228,7 @@ impl ChangeLog {
         self.cursors.iter().filter_map(|cursor| Some(cursor.upgrade()?.load(Ordering::Relaxed))).collect()
     }
 
-    /// Checks that each cursor stands at the start of a segment, and that no segment has two entries for an object.
+    /// Checks that each cursor is at the start of a segment, and that no segment has two entries for an object.
     pub(super) fn validate(&self, root: NodeKey) -> Result<()> {
         let rising = self.segments.iter().is_sorted_by(|a, b| a.start < b.start);
         require_invariant(rising, root, "the log is out of order")?;
@@ -403,7 +403,7 @@ mod tests {
         assert!(log.segments.is_empty());
     }
 
-    /// One consumer never reads again, one reads after each edit, others come and go.
+    /// One consumer never reads again, one reads after each edit, others read once and are dropped.
     #[test]
     fn a_lagging_consumer_costs_one_entry_an_object() {
         let mut keys: SlotMap<NodeKey, ()> = SlotMap::with_key();

@@ -1,4 +1,4 @@
-//! Instance targets: which cores instance a node, and the check that no node comes to show itself (cycle).
+//! Instance targets: which cores instance a node, and the check that no node instances itself or an ancestor.
 
 use std::collections::HashSet;
 
@@ -9,7 +9,7 @@ impl Scene {
     /// Whether `above` is `node` or an ancestor of it, where the users of an instance core count as parents of its
     /// target. O(depth) without instances, O(ancestors through all instances) with some.
     pub(super) fn is_ancestor_or_self(&self, above: NodeKey, node: NodeKey) -> bool {
-        if self.instancers.is_empty() {
+        if self.cores_by_target.is_empty() {
             return std::iter::successors(Some(node), |&node| self.nodes[node].parent).any(|node| node == above);
         }
         // Depth-first search up the ancestors, each visited once.
@@ -21,7 +21,7 @@ impl Scene {
             }
             if seen.insert(node) {
                 stack.extend(self.nodes[node].parent);
-                let cores = self.instancers.get(&node).into_iter().flatten();
+                let cores = self.cores_by_target.get(&node).into_iter().flatten();
                 stack.extend(cores.filter_map(|&core| self.users(core).ok()).flatten());
             }
         }
@@ -41,24 +41,24 @@ impl Scene {
     /// Registers an instance core with its target.
     pub(super) fn register_instance(&mut self, key: CoreKey, core: &Core) {
         if let Core::Instance(target) = *core {
-            self.instancers.entry(target).or_default().insert(key);
+            self.cores_by_target.entry(target).or_default().insert(key);
         }
     }
 
     /// Removes an instance core from those of its target.
     pub(super) fn unregister_instance(&mut self, key: CoreKey, core: &Core) {
         let Core::Instance(target) = *core else { return };
-        if let Some(cores) = self.instancers.get_mut(&target) {
+        if let Some(cores) = self.cores_by_target.get_mut(&target) {
             cores.remove(&key);
             if cores.is_empty() {
-                self.instancers.remove(&target);
+                self.cores_by_target.remove(&target);
             }
         }
     }
 
     /// Replaces by [`Core::Group`] every core that instances `node`, which is about to be removed.
     pub(super) fn replace_instances_by_groups(&mut self, node: NodeKey) -> Result<()> {
-        for core in self.instancers.get(&node).cloned().unwrap_or_default() {
+        for core in self.cores_by_target.get(&node).cloned().unwrap_or_default() {
             self.set_core(core, Core::Group)?;
         }
         Ok(())

@@ -11,7 +11,7 @@ use super::TextureKey;
 /// `KHR_materials_transmission`, `KHR_materials_ior` and `KHR_materials_emissive_strength`. All colours are linear.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Material {
-    /// Linear RGBA; alpha is used as `alpha_mode` says. Each in 0 to 1.
+    /// Linear RGBA, each in 0 to 1; `alpha_mode` determines the use of alpha.
     pub base_color: Vec4,
     /// 0 for a dielectric, 1 for a metal.
     pub metallic: f32,

@@ -3,8 +3,8 @@
 //! [`Scene`] owns everything. Its methods are grouped by file: `tree_edits` and `core_edits`, `assets` (geometries,
 //! materials, textures), `tree_reads`, `find`, `visit`, and `transfer` (undo, transactions, deltas, files, edit
 //! queues). `hierarchy` is the flattened form of the tree that the compiler reads; `changes` is the log of changes that
-//! tells it what to read again. `linked_lists` and `instance_cycles` maintain the links between nodes, cores and
-//! instance targets.
+//! tells it which objects to read again. `linked_lists` and `instance_cycles` maintain the links between nodes, cores
+//! and instance targets.
 
 mod assets;
 mod billboard;

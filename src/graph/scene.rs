@@ -68,9 +68,9 @@ pub struct Scene {
     pub(super) hierarchy: Hierarchy,
     pub(super) journal: Journal,
     /// While set, objects without users are not freed (in `write_states`).
-    pub(super) keeps_unused: bool,
+    pub(super) defers_release: bool,
     /// The cores that instance each node.
-    pub(super) instancers: HashMap<NodeKey, BTreeSet<CoreKey>>,
+    pub(super) cores_by_target: HashMap<NodeKey, BTreeSet<CoreKey>>,
     revision: u64,
 }
 
@@ -103,8 +103,8 @@ impl Scene {
             log: ChangeLog::default(),
             hierarchy: Hierarchy::default(),
             journal: Journal::default(),
-            keeps_unused: false,
-            instancers: HashMap::new(),
+            defers_release: false,
+            cores_by_target: HashMap::new(),
             revision: 0,
         };
         scene.link_user(scene.root, core);
@@ -212,7 +212,7 @@ impl Scene {
         Ok(self.with_hierarchy()?.1)
     }
 
-    /// As [`hierarchy`](Self::hierarchy), with the scene itself for reading beside it.
+    /// As [`hierarchy`](Self::hierarchy), together with a shared reference to the scene.
     ///
     /// # Errors
     /// As [`hierarchy`](Self::hierarchy).
@@ -224,14 +224,14 @@ impl Scene {
 
     /// The hierarchy, for an update, and the objects that it is built from.
     pub(super) fn hierarchy_and_stores(&mut self) -> (&mut Hierarchy, SceneStores<'_>) {
-        let Self { root, nodes, cores, geometries, instancers, .. } = self;
-        let has_instances = !instancers.is_empty();
+        let Self { root, nodes, cores, geometries, cores_by_target, .. } = self;
+        let has_instances = !cores_by_target.is_empty();
         (&mut self.hierarchy, SceneStores { root: *root, nodes, cores, geometries, has_instances })
     }
 
     /// The objects that a hierarchy is built from.
     pub(super) fn stores(&self) -> SceneStores<'_> {
-        let has_instances = !self.instancers.is_empty();
+        let has_instances = !self.cores_by_target.is_empty();
         SceneStores {
             root: self.root,
             nodes: &self.nodes,

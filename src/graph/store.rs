@@ -164,9 +164,9 @@ mod tests {
     use crate::graph::NodeKey;
 
     proptest! {
-        /// Against a map, with the keys of objects that are gone: none is ever given out again.
+        /// Compared with a map; no key is issued twice, those of removed objects included.
         #[test]
-        fn keys_are_given_out_once(steps in prop::collection::vec((0_u8..4, any::<u16>()), 1..300)) {
+        fn keys_are_issued_once(steps in prop::collection::vec((0_u8..4, any::<u16>()), 1..300)) {
             let mut store: Store<NodeKey, usize> = Store::new();
             let (mut model, mut issued) = (HashMap::new(), Vec::new());
             for (value, (kind, number)) in steps.into_iter().enumerate() {

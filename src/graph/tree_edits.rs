@@ -46,7 +46,7 @@ impl Scene {
             return Err(Error::Root { attempt: RootEdit::Remove });
         }
         // 1. Replace the instance cores that show a removed node.
-        if !self.instancers.is_empty() {
+        if !self.cores_by_target.is_empty() {
             let nodes: Vec<NodeKey> = self.subtree(node)?.collect();
             nodes.into_iter().try_for_each(|node| self.replace_instances_by_groups(node))?;
         }

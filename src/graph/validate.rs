@@ -68,7 +68,7 @@ impl Scene {
             check_core(&slot.core)?;
             if let Core::Instance(target) = slot.core {
                 self.node(target)?;
-                let known = self.instancers.get(&target).is_some_and(|cores| cores.contains(&key));
+                let known = self.cores_by_target.get(&target).is_some_and(|cores| cores.contains(&key));
                 require_invariant(known, key, "it is not registered with the target that it instances")?;
                 let shows_itself = self.users(key)?.any(|user| self.is_ancestor_or_self(target, user));
                 require_invariant(!shows_itself, key, "it instances itself or an ancestor")?;

@@ -3,7 +3,7 @@
 use std::collections::HashSet;
 
 use egui::{Align2, Color32, FontId, Rect, Response, ScrollArea, Sense, TextEdit, Ui, pos2, vec2};
-use ropewalk::{Change, ChangeCursor, Changes, Core, NodeKey, ObjectKey, Scene};
+use ropewalk::{Change, ChangeCursor, Changes, NodeKey, ObjectKey, Scene};
 
 use crate::app::App;
 use crate::edit::Edit;
@@ -209,6 +209,8 @@ fn found(scene: &Scene, text: &str) -> Vec<Row> {
 
 #[cfg(test)]
 mod tests {
+    use ropewalk::Core;
+
     use super::*;
 
     /// A root with a wide node, and a chain, of so many nodes each.

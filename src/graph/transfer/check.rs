@@ -222,7 +222,7 @@ impl SceneAfter<'_> {
             self.delta.objects().filter(|(object, state)| state.is_none() && self.scene.contains_object(*object))
         {
             let user_count = match object {
-                ObjectKey::Node(key) => self.scene.instancers.get(&key).map_or(0, BTreeSet::len),
+                ObjectKey::Node(key) => self.scene.cores_by_target.get(&key).map_or(0, BTreeSet::len),
                 ObjectKey::Core(key) => self.scene.cores[key].user_count,
                 ObjectKey::Geometry(key) => self.scene.geometries[key].user_count,
                 ObjectKey::Material(key) => self.scene.materials[key].user_count,
@@ -323,7 +323,7 @@ impl SceneAfter<'_> {
     /// By instance target: the nodes whose cores instance it.
     fn instancing_nodes(&self) -> HashMap<NodeKey, Vec<NodeKey>> {
         // 1. The targets of all instance cores after the delta.
-        let old = self.scene.instancers.values().flatten().copied();
+        let old = self.scene.cores_by_target.values().flatten().copied();
         let new = self.delta.objects().filter_map(|(object, _)| match object {
             ObjectKey::Core(key) => Some(key),
             _ => None,

@@ -41,7 +41,7 @@ pub enum SceneFileError {
     /// It ends within a frame: an incomplete copy, or the writing program was terminated.
     #[error("the file ends within the frame")]
     Truncated,
-    /// Its content is not what was written.
+    /// Its content was changed after it was written.
     #[error("its checksum is {found:08x}, not {expected:08x}: the file is damaged")]
     Checksum {
         /// The checksum in the file.

@@ -15,7 +15,7 @@ impl Scene {
     /// sibling.
     pub(super) fn write_states(&mut self, delta: &Delta, order: &[NodeKey]) {
         // Suspend automatic freeing: the delta lists every removal.
-        self.keeps_unused = true;
+        self.defers_release = true;
         // 1. Release references that change, so that no removed object is still referenced.
         for (object, state) in delta.objects() {
             self.release_references(object, state);
@@ -42,7 +42,7 @@ impl Scene {
                 self.link_node(node, state);
             }
         }
-        self.keeps_unused = false;
+        self.defers_release = false;
     }
 
     /// Ends the uses of those objects that the target state does not refer to.
