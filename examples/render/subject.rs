@@ -59,7 +59,7 @@ fn import(file: &Path, arguments: &Arguments, scene: &mut Scene) -> Result<Impor
         Ok(index) => SceneSelector::Index(index),
         Err(_) => SceneSelector::Name(wanted.clone()),
     };
-    let options = ImportOptions { scene: arguments.scene.as_ref().map(choice) };
+    let options = ImportOptions::default().with_scene(arguments.scene.as_ref().map(choice));
     let root = scene.root();
     gltf::import_with(file, &options, scene, root).map_err(|error| error.to_string())
 }
