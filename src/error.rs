@@ -4,6 +4,7 @@ use std::fmt::{self, Debug};
 use std::io;
 use std::path::{Path, PathBuf};
 
+use crate::gltf::GltfFault;
 use crate::graph::{CoreKind, NodeKey, ObjectKey, SceneFileError};
 
 /// [`std::result::Result`] with this crate's [`enum@Error`].
@@ -131,16 +132,17 @@ pub enum Error {
         source: IoFault,
     },
     /// A glTF file breaks the specification, or is damaged.
-    #[error("{path}: {object}: {cause}")]
+    #[error("{path}: {}: {cause}", if pointer.is_empty() { "the file" } else { pointer })]
     Gltf {
         /// The file.
         path: PathBuf,
-        /// The JSON pointer of the offending object, as the glTF validator writes it: "/nodes/3/children/0".
-        object: String,
+        /// The JSON pointer of the offending object, as the glTF validator writes it: "/nodes/3/children/0". Empty for
+        /// the file as a whole.
+        pointer: String,
         /// What is wrong with it.
-        cause: String,
+        cause: GltfFault,
     },
-    /// A glTF file requires an extension that Ropewalk does not have.
+    /// A glTF file requires an extension that Ropewalk does not support.
     #[error("{path}: requires the extension {extension}, which is not supported")]
     UnsupportedExtension {
         /// The file.

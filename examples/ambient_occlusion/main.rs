@@ -1,4 +1,4 @@
-//! Ambient occlusion by a compute shader of the application's own, which queries the scene where it lies: on the GPU.
+//! Ambient occlusion by the application's own compute shader, which traces rays through the scene on the GPU.
 //!
 //! ```sh
 //! cargo run --release --example ambient_occlusion   # writes occlusion.png
@@ -22,14 +22,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         samples: 64,
         radius: 3.0,
     };
-    let openness = occlusion.compute(&mut renderer, &mut scene)?.ok_or("no GPU traces")?;
-    let color = openness.iter().map(|&open| [open, open, open, 1.0]).collect();
+    let visibility = occlusion.compute(&mut renderer, &mut scene)?.ok_or("no GPU is used")?;
+    let color = visibility.iter().map(|&v| [v, v, v, 1.0]).collect();
     Image { width, height, color, aovs: None }.save("occlusion.png")?;
     println!("{}: occlusion.png", renderer.device_info().name);
     Ok(())
 }
 
-/// A floor with a stair of turned boxes on it.
+/// A floor with boxes of increasing height in a spiral.
 fn boxes() -> ropewalk::Result<Scene> {
     let mut scene = Scene::new();
     let corner = |i: u32| Vec3::new((i & 1) as f32, (i >> 1 & 1) as f32, (i >> 2) as f32) - Vec3::splat(0.5);
@@ -38,16 +38,16 @@ fn boxes() -> ropewalk::Result<Scene> {
     let geometry = scene.add_geometry(Geometry::new((0..8).map(corner).collect::<Vec<_>>(), triangles))?;
     let material = scene.add_material(Material::diffuse(Vec3::splat(0.8)))?;
     let core = scene.add_core(Core::Geometry { geometry, material })?;
-    let mut place = |translation, turn, scale| {
+    let mut add_box = |translation, turn, scale| {
         let rotation = DQuat::from_rotation_y(turn);
         let node = scene.add(scene.root(), Transform::Trs { translation, rotation, scale })?;
         scene.add(node, core)
     };
-    place(DVec3::new(0.0, -0.05, 0.0), 0.0, DVec3::new(20.0, 0.1, 20.0))?;
+    add_box(DVec3::new(0.0, -0.05, 0.0), 0.0, DVec3::new(20.0, 0.1, 20.0))?;
     for i in 0..9 {
         let (angle, height) = (f64::from(i) * 0.7, 0.4 + 0.3 * f64::from(i));
-        let middle = DVec3::new(2.2 * angle.cos(), 0.5 * height, 2.2 * angle.sin());
-        place(middle, -angle, DVec3::new(1.0, height, 1.0))?;
+        let center = DVec3::new(2.2 * angle.cos(), 0.5 * height, 2.2 * angle.sin());
+        add_box(center, -angle, DVec3::new(1.0, height, 1.0))?;
     }
     Ok(scene)
 }

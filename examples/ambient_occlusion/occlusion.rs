@@ -1,4 +1,4 @@
-//! Ambient occlusion by a compute shader of the application's own.
+//! Ambient occlusion by the application's own compute shader.
 
 use bytemuck::{Pod, Zeroable};
 use ropewalk::device::Needs;
@@ -8,20 +8,20 @@ use ropewalk::{Renderer, Result, Scene};
 use wgpu::BufferUsages;
 use wgpu::util::DeviceExt as _;
 
-/// What is looked at, and how far.
+/// The camera, and how occlusion is measured.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Occlusion {
     pub(crate) eye: DVec3,
     pub(crate) target: DVec3,
-    /// Pixels across and down.
+    /// Width and height of the image, in pixels.
     pub(crate) size: [u32; 2],
-    /// Rays from each pixel's surface.
+    /// Rays from the surface of each pixel.
     pub(crate) samples: u32,
-    /// What is farther away does not count.
+    /// Only surfaces within this distance occlude, in units of the scene.
     pub(crate) radius: f32,
 }
 
-/// As `OcclusionParams` in the shader. Positions are relative to the render origin.
+/// `OcclusionParams` of the shader. Positions are relative to the render origin.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 pub(crate) struct Params {
@@ -36,7 +36,7 @@ pub(crate) struct Params {
 }
 
 impl Occlusion {
-    /// A camera with a field of 53 degrees from top to bottom.
+    /// The parameters of the shader, for a vertical field of view of 53 degrees.
     pub(crate) fn params(&self, origin: DVec3) -> Params {
         let [width, height] = self.size;
         let forward = (self.target - self.eye).normalize();
@@ -54,18 +54,18 @@ impl Occlusion {
         }
     }
 
-    /// How open each pixel is, from 0 to 1, row by row; `None` where no GPU traces.
+    /// Ambient visibility per pixel, 0 (occluded) to 1 (open), row by row; `None` if the renderer does not use a GPU.
     pub(crate) fn compute(&self, renderer: &mut Renderer, scene: &mut Scene) -> Result<Option<Vec<f32>>> {
-        // 1. The scene to the GPU.
+        // 1. Upload the scene.
         let needs = renderer.prepare(scene)?.needs;
         let params = self.params(renderer.render_origin());
         let Some(gpu) = renderer.gpu_tracer() else { return Ok(None) };
 
-        // 2. The shader: the scene is its group 1. A program that does this every frame keeps the pipeline while the include stays
-        //    equal.
+        // 2. Compile the shader, in which the scene is bind group 1. A program that does this every frame keeps the
+        //    pipeline while the include stays equal.
         let device = gpu.wgpu_device().clone();
         let include = gpu.include(1, needs | Needs::CULLING, true);
-        let pixels = u64::from(params.width) * u64::from(params.height) * 4;
+        let bytes = u64::from(params.width) * u64::from(params.height) * 4;
         let shader = device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some("occlusion"),
             source: wgpu::ShaderSource::Wgsl((include.source() + include_str!("occlusion.wgsl")).into()),
@@ -91,7 +91,7 @@ impl Occlusion {
             cache: None,
         });
 
-        // 3. What it reads and writes.
+        // 3. Bind the parameters and the output.
         let params_buffer = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
             label: Some("occlusion"),
             contents: bytemuck::bytes_of(&params),
@@ -99,25 +99,25 @@ impl Occlusion {
         });
         let buffer = |usage| {
             device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some("openness"),
-                size: pixels,
+                label: Some("visibility"),
+                size: bytes,
                 usage,
                 mapped_at_creation: false,
             })
         };
-        let openness = buffer(BufferUsages::STORAGE | BufferUsages::COPY_SRC);
+        let visibility = buffer(BufferUsages::STORAGE | BufferUsages::COPY_SRC);
         let staging = buffer(BufferUsages::MAP_READ | BufferUsages::COPY_DST);
         let own = device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("occlusion"),
             layout: &own_layout,
             entries: &[
                 wgpu::BindGroupEntry { binding: 0, resource: params_buffer.as_entire_binding() },
-                wgpu::BindGroupEntry { binding: 1, resource: openness.as_entire_binding() },
+                wgpu::BindGroupEntry { binding: 1, resource: visibility.as_entire_binding() },
             ],
         });
         let scene = gpu.include_bind_group(&include)?;
 
-        // 4. One pass.
+        // 4. Dispatch, and read back.
         let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
         pass.set_pipeline(&pipeline);
@@ -125,7 +125,7 @@ impl Occlusion {
         pass.set_bind_group(1, &scene, &[]);
         pass.dispatch_workgroups(params.width.div_ceil(8), params.height.div_ceil(8), 1);
         drop(pass);
-        encoder.copy_buffer_to_buffer(&openness, 0, &staging, 0, pixels);
+        encoder.copy_buffer_to_buffer(&visibility, 0, &staging, 0, bytes);
         gpu.wgpu_queue().submit([encoder.finish()]);
         Ok(Some(read(gpu, &staging)))
     }
@@ -140,7 +140,7 @@ fn entry(binding: u32, ty: wgpu::BufferBindingType) -> wgpu::BindGroupLayoutEntr
     }
 }
 
-/// Waits for the GPU and copies a buffer of numbers; none where it failed.
+/// Waits for the GPU and copies a buffer of f32; empty if the GPU failed.
 fn read(gpu: &GpuTracer, staging: &wgpu::Buffer) -> Vec<f32> {
     staging.slice(..).map_async(wgpu::MapMode::Read, |_| {});
     let done = gpu.wgpu_device().poll(wgpu::PollType::wait_indefinitely());

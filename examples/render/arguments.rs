@@ -67,7 +67,7 @@ impl From<Device> for DeviceChoice {
 }
 
 impl Arguments {
-    /// What the user typed, or one line that says what is wrong with it. Prints help and version itself and returns `None`.
+    /// Parses the command line; an error is one line. Prints help and version itself, and returns `None` then.
     pub(crate) fn from_command_line() -> Result<Option<Self>, String> {
         let arguments = match Self::try_parse() {
             Ok(arguments) => arguments,
@@ -80,12 +80,12 @@ impl Arguments {
         Ok(Some(arguments))
     }
 
-    /// The size that is traced: that of the image times the samples.
+    /// The traced size in pixels: that of the image times the samples.
     pub(crate) fn traced_size(&self) -> (u32, u32) {
         (self.size.0 * self.samples, self.size.1 * self.samples)
     }
 
-    /// The file of a turntable's frame, counted from 1; `output` itself where there is no turntable.
+    /// The file of a turntable's frame, counted from 1; `output` itself without a turntable.
     pub(crate) fn output_of(&self, frame: u32) -> PathBuf {
         let Some(frames) = self.frames else { return self.output.clone() };
         let digits = frames.to_string().len();
@@ -94,45 +94,45 @@ impl Arguments {
         self.output.with_file_name(format!("{stem}-{frame:0digits$}.{extension}"))
     }
 
-    /// What clap cannot check: how the arguments go together.
+    /// Checks combinations of arguments, which clap cannot.
     fn check(&self) -> Result<(), String> {
-        /// 2 GiB of colour.
-        const MOST_SAMPLES: u64 = 1 << 27;
+        /// 2 GiB of colours.
+        const MAX_SAMPLES: u64 = 1 << 27;
 
         if self.scene.is_some() && self.file.is_none() {
             return Err("--scene chooses a scene of a file, but no file is given".to_owned());
         }
         let (width, height) = self.traced_size();
         let samples = u64::from(width) * u64::from(height);
-        if samples > MOST_SAMPLES {
+        if samples > MAX_SAMPLES {
             let asked = "--size and --samples ask for";
-            return Err(format!("{asked} {samples} rays an image, but at most {MOST_SAMPLES} are traced at once"));
+            return Err(format!("{asked} {samples} rays an image, but at most {MAX_SAMPLES} are traced at once"));
         }
         Ok(())
     }
 }
 
-/// What clap says in several lines, without the usage.
+/// The message of clap on one line, without the usage.
 fn one_line(error: &clap::Error) -> String {
     let text = error.to_string();
-    let said =
+    let lines =
         text.lines().map(str::trim).take_while(|line| !line.starts_with("Usage:") && !line.starts_with("For more"));
-    let line = said.filter(|line| !line.is_empty()).collect::<Vec<_>>().join(" ");
+    let line = lines.filter(|line| !line.is_empty()).collect::<Vec<_>>().join(" ");
     line.trim_start_matches("error: ").to_owned()
 }
 
 fn parse_size(text: &str) -> Result<(u32, u32), String> {
-    /// What a texture of a GPU may measure.
-    const MOST: u32 = 16_384;
+    /// The largest texture dimension that most GPUs support.
+    const MAX: u32 = 16_384;
 
     let parsed = text.split_once(['x', 'X']).and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
     match parsed {
-        Some((width, height)) if (1..=MOST).contains(&width) && (1..=MOST).contains(&height) => Ok((width, height)),
-        _ => Err(format!("expected two numbers from 1 to {MOST}, as in 960x600")),
+        Some((width, height)) if (1..=MAX).contains(&width) && (1..=MAX).contains(&height) => Ok((width, height)),
+        _ => Err(format!("expected two numbers from 1 to {MAX}, as in 960x600")),
     }
 }
 
-/// Refuses what could not be written before anything is rendered.
+/// Rejects a file that could not be written, before anything is rendered.
 fn parse_output(text: &str) -> Result<PathBuf, String> {
     let path = Path::new(text);
     // The path is in clap's own message already.

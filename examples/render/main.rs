@@ -1,14 +1,14 @@
 //! Renders a glTF file, or a scene made in code, to an image.
 //!
-//! `cargo run --release --example render` writes `out.png`; `-- --help` lists what can be said after it. Uses a GPU where there is
-//! one. What goes wrong is told in one line on standard error, with exit code 2, and leaves no file behind.
+//! `cargo run --release --example render` writes `out.png`; `-- --help` lists the options. Uses a GPU if there is one.
+//! A failure prints one line to standard error, ends with exit code 2, and leaves no file behind.
 
 mod arguments;
 mod builtin;
+mod cameras_and_lights;
+mod loaded_scene;
 mod progress;
 mod report;
-mod stage;
-mod subject;
 
 use std::io::Write as _;
 use std::process::ExitCode;
@@ -17,9 +17,9 @@ use std::time::Instant;
 use ropewalk::{Renderer, RendererOptions};
 
 use arguments::Arguments;
+use loaded_scene::LoadedScene;
 use progress::Progress;
 use report::{FrameEntry, Report};
-use subject::Subject;
 
 fn main() -> ExitCode {
     let arguments = match Arguments::from_command_line() {
@@ -33,7 +33,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// An error is one line, whatever a driver or a file name puts into it.
+/// Prints an error on one line; line breaks in the message become spaces.
 fn fail(message: &str) -> ExitCode {
     eprintln!("error: {}", one_line(message));
     ExitCode::from(2)
@@ -44,27 +44,30 @@ fn one_line(text: &str) -> String {
 }
 
 fn run(arguments: &Arguments) -> Result<(), String> {
+    // 1. Load the scene.
     let start = Instant::now();
-    let mut subject = {
+    let mut loaded = {
         let _progress = Progress::spinner("loading");
-        Subject::load(arguments)?
+        LoadedScene::load(arguments)?
     };
     let load_time = start.elapsed();
 
+    // 2. Open the renderer.
     let options = RendererOptions::default().with_device(arguments.device.into());
     let mut renderer = Renderer::new(&options).map_err(|error| error.to_string())?;
     if let Some(reason) = renderer.fallback_reason() {
         eprintln!("rendering on the CPU: {}", one_line(reason));
     }
 
+    // 3. Render and save each frame, and report.
     let mut report = Report {
         file: arguments.file.clone(),
-        import: subject.import.as_ref().map(|import| import.counts),
-        not_honoured: subject.import.as_ref().map(|import| import.warnings.clone()).unwrap_or_default(),
+        import: loaded.import.as_ref().map(|import| import.counts),
+        warnings: loaded.import.as_ref().map(|import| import.warnings.clone()).unwrap_or_default(),
         fallback: renderer.fallback_reason().map(str::to_owned),
         load_time,
-        nodes: subject.scene.node_count(),
-        geometries: subject.scene.geometry_count(),
+        nodes: loaded.scene.node_count(),
+        geometries: loaded.scene.geometry_count(),
         size: arguments.size,
         samples: arguments.samples,
         frames: Vec::new(),
@@ -72,24 +75,24 @@ fn run(arguments: &Arguments) -> Result<(), String> {
     let frames = arguments.frames.unwrap_or(1);
     let progress = if frames == 1 { Progress::spinner("rendering") } else { Progress::steps("rendering", frames) };
     for frame in 0..frames {
-        report.frames.push(render(arguments, &mut renderer, &mut subject, frame, frames)?);
+        report.frames.push(render(arguments, &mut renderer, &mut loaded, frame, frames)?);
         progress.advance();
     }
     drop(progress);
-    tell(arguments, &report)
+    print_report(arguments, &report)
 }
 
 /// Renders and writes one image.
 fn render(
     arguments: &Arguments,
     renderer: &mut Renderer,
-    subject: &mut Subject,
+    loaded: &mut LoadedScene,
     frame: u32,
     frames: u32,
 ) -> Result<FrameEntry, String> {
     let output = arguments.output_of(frame + 1);
-    let view = subject.view(frame, frames);
-    let rendered = renderer.render(&mut subject.scene, &view).map_err(|error| error.to_string())?;
+    let view = loaded.view(frame, frames);
+    let rendered = renderer.render(&mut loaded.scene, &view).map_err(|error| error.to_string())?;
 
     let read_start = Instant::now();
     let image = rendered.image().map_err(|error| error.to_string())?;
@@ -101,24 +104,24 @@ fn render(
     Ok(FrameEntry { output, report: rendered.report().clone(), read_time, save_time: save_start.elapsed() })
 }
 
-/// Says what was done, as the arguments ask.
-fn tell(arguments: &Arguments, report: &Report) -> Result<(), String> {
+/// Prints the report in the requested form.
+fn print_report(arguments: &Arguments, report: &Report) -> Result<(), String> {
     if arguments.json {
-        return say(&report.to_json().map_err(|error| error.to_string())?);
+        return print_line(&report.to_json().map_err(|error| error.to_string())?);
     }
     if arguments.stats {
-        say(&report.to_tables())?;
-    } else if !report.not_honoured.is_empty() {
-        eprintln!("{} features of the file are not honoured (--stats lists them)", report.not_honoured.len());
+        print_line(&report.to_tables())?;
+    } else if !report.warnings.is_empty() {
+        eprintln!("{} warnings about the file (--stats lists them)", report.warnings.len());
     }
     match report.frames.as_slice() {
-        [first, .., last] => say(&format!("wrote {} to {}", first.output.display(), last.output.display())),
-        [only] => say(&format!("wrote {}", only.output.display())),
+        [first, .., last] => print_line(&format!("wrote {} to {}", first.output.display(), last.output.display())),
+        [only] => print_line(&format!("wrote {}", only.output.display())),
         [] => Ok(()),
     }
 }
 
-/// A line on standard output. `println!` would panic where nobody reads it any more.
-fn say(line: &str) -> Result<(), String> {
+/// Prints a line to standard output. `println!` would panic if the reader of a pipe has closed it.
+fn print_line(line: &str) -> Result<(), String> {
     writeln!(std::io::stdout(), "{line}").map_err(|error| format!("standard output: {error}"))
 }

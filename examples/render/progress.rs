@@ -14,17 +14,17 @@ pub(crate) struct Progress {
 }
 
 impl Progress {
-    /// Shows a spinner: how much there is to do is not known.
+    /// A spinner, for work of unknown length.
     pub(crate) fn spinner(what: &'static str) -> Self {
         Self::new(ProgressBar::no_length(), what, "{spinner} {msg} {elapsed}")
     }
 
-    /// Shows how many of `steps` are done.
+    /// A bar that shows how many of `steps` are done.
     pub(crate) fn steps(what: &'static str, steps: u32) -> Self {
         Self::new(ProgressBar::new(steps.into()), what, "{spinner} {msg} {wide_bar} {pos}/{len} {eta}")
     }
 
-    /// One step is done.
+    /// Counts one step as done.
     pub(crate) fn advance(&self) {
         self.bar.inc(1);
     }

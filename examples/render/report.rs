@@ -1,4 +1,4 @@
-//! What was done and how long it took: as tables, or as JSON.
+//! The report of a run: what was done and how long it took, as tables or as JSON.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -14,13 +14,13 @@ use serde::{Serialize, Serializer};
 pub(crate) struct Report {
     /// The file rendered; none for the built-in scene.
     pub(crate) file: Option<PathBuf>,
-    /// What the file gave.
+    /// How much the file added to the scene.
     pub(crate) import: Option<ImportCounts>,
-    /// What of the file was not honoured, or not to the letter.
-    pub(crate) not_honoured: Vec<ImportWarning>,
-    /// Why the GPU was not used, where it was wanted.
+    /// What in the file is unsupported, only approximated, corrected or replaced.
+    pub(crate) warnings: Vec<ImportWarning>,
+    /// Why the CPU was used although a GPU is preferred.
     pub(crate) fallback: Option<String>,
-    /// To read the file or make the scene.
+    /// Time to read the file or make the scene.
     #[serde(serialize_with = "seconds")]
     pub(crate) load_time: Duration,
     pub(crate) nodes: usize,
@@ -38,27 +38,27 @@ pub(crate) struct FrameEntry {
     pub(crate) output: PathBuf,
     #[serde(flatten)]
     pub(crate) report: FrameReport,
-    /// From the end of the call that renders it until the frame was in main memory.
+    /// Time to read the frame back, after the call that renders it.
     #[serde(serialize_with = "seconds")]
     pub(crate) read_time: Duration,
-    /// To average the samples and to write the file.
+    /// Time to average the samples and write the file.
     #[serde(serialize_with = "seconds")]
     pub(crate) save_time: Duration,
 }
 
 impl Report {
-    /// Two tables, the scene, and the time of each phase in the first frame and in those after it; below them what of the
-    /// file was not honoured.
+    /// Two tables: the scene; and the time of each phase in the first frame and in the later ones. Below them the
+    /// warnings about the file.
     pub(crate) fn to_tables(&self) -> String {
         let Some((first, later)) = self.frames.split_first() else { return String::new() };
         let mut text = format!("{}\n{}", self.scene_table(&first.report), phase_table(first, later));
-        for what in &self.not_honoured {
-            text += &format!("\nnot honoured: {what}");
+        for warning in &self.warnings {
+            text += &format!("\nwarning: {warning}");
         }
         text
     }
 
-    /// All of it.
+    /// The whole report as JSON.
     pub(crate) fn to_json(&self) -> Result<String, serde_json::Error> {
         serde_json::to_string_pretty(self)
     }
@@ -94,7 +94,7 @@ impl Report {
 struct Phase {
     name: &'static str,
     time: fn(&FrameEntry) -> Duration,
-    /// What the first frame did in it, in words.
+    /// What the first frame did in this phase, in words.
     done: String,
 }
 
@@ -103,8 +103,8 @@ fn phases(first: &FrameEntry) -> [Phase; 8] {
     let FrameReport { compile, uploaded_bytes, .. } = &first.report;
     [
         phase("update", |frame| frame.report.compile.update_time, String::new()),
-        phase("bottom level", |frame| frame.report.compile.blas_time, format!("{} built", compile.blas_built)),
-        phase("top level", |frame| frame.report.compile.tlas_time, compile.tlas.to_string()),
+        phase("BLAS", |frame| frame.report.compile.blas_time, format!("{} built", compile.blas_built)),
+        phase("TLAS", |frame| frame.report.compile.tlas_time, compile.tlas.to_string()),
         phase("upload", |frame| frame.report.upload_time, format!("{uploaded_bytes} bytes")),
         phase("trace", |frame| frame.report.trace_time, String::new()),
         phase("read back", |frame| frame.read_time, String::new()),

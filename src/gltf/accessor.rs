@@ -1,25 +1,25 @@
-//! Accessors: typed arrays in buffers, read by our own code. Every accessor of a file is checked before any is read, so
-//! that reading cannot leave its buffer.
+//! Accessors: typed arrays in buffers. Every accessor of a file is checked before any is read, so that no read leaves
+//! its buffer.
 
 use bytemuck::{Pod, Zeroable};
 
 use super::format::{Component, Format};
-use super::{Budget, Buffers, Document};
-use crate::Result;
+use super::{AccessorFault, Budget, Buffers, Document};
+use crate::{Error, Result};
 
 /// All accessors of a file, checked.
 pub(super) struct Accessors<'a> {
     elements: Vec<AccessorData<'a>>,
 }
 
-/// What one accessor reads.
+/// A validated accessor: its format, byte range and sparse substitutions.
 #[derive(Clone, Debug)]
 pub(super) struct AccessorData<'a> {
     /// The accessor's index in the file.
     index: usize,
     /// Number of elements.
     pub(super) count: usize,
-    /// Shape of an element; `None` for one that glTF does not know, which no one can read.
+    /// Format of an element; `None` for one that glTF does not define, which cannot be read.
     format: Option<Format>,
     data: Data<'a>,
     sparse: Option<Sparse<'a>>,
@@ -51,7 +51,8 @@ pub(super) enum Selection<'a> {
 }
 
 impl<'a> Accessors<'a> {
-    /// Checks that every accessor lies within its buffer views, and reads the sparse indices. O(accessors + sparse indices).
+    /// Checks that every accessor lies within its buffer views, and reads the sparse indices. O(accessors + sparse
+    /// indices).
     pub(super) fn new(document: &Document, buffers: &'a Buffers, budget: &mut Budget) -> Result<Self> {
         let check = |index| AccessorData::new(document, buffers, budget, index);
         let elements = (0..document.accessors.len()).map(check).collect::<Result<_>>()?;
@@ -63,26 +64,28 @@ impl<'a> Accessors<'a> {
         &self.elements[index]
     }
 
-    /// For each accessor the first one that reads the same bytes in the same way: itself, where there is no other.
+    /// For each accessor the first one that reads the same bytes in the same way; itself if there is no other.
     pub(super) fn canonical_indices(&self, document: &Document, buffers: &Buffers) -> Vec<usize> {
         let mut first = std::collections::HashMap::new();
-        let place = |view: usize, offset: u64| {
+        // The buffer and byte offset of an accessor's data, with equal buffers merged.
+        let location = |view: usize, offset: u64| {
             let (buffer, start) = buffers.location_of_view(document, view);
             (buffer, start + offset)
         };
+        // Two accessors are equal if their format, count, data and sparse substitutions are.
         let identity = |(i, elements): (usize, &AccessorData)| {
             let accessor = &document.accessors[i];
-            let data = accessor.buffer_view.map(|v| place(v.value(), accessor.byte_offset.map_or(0, |o| o.0)));
+            let data = accessor.buffer_view.map(|v| location(v.value(), accessor.byte_offset.map_or(0, |o| o.0)));
             let stride = match elements.data {
                 Data::Strided { stride, .. } => stride,
                 Data::Zero | Data::Missing => 0,
             };
             let sparse = accessor.sparse.as_ref().map(|sparse| {
-                let indices = place(sparse.indices.buffer_view.value(), sparse.indices.byte_offset.0);
-                let values = place(sparse.values.buffer_view.value(), sparse.values.byte_offset.0);
+                let indices = location(sparse.indices.buffer_view.value(), sparse.indices.byte_offset.0);
+                let values = location(sparse.values.buffer_view.value(), sparse.values.byte_offset.0);
                 (sparse.count.0, indices, Component::of_indices(&sparse.indices.component_type), values)
             });
-            // An accessor of unknown format is like no other.
+            // An accessor of unknown format equals no other.
             let unknown = elements.format.is_none().then_some(i);
             *first.entry((unknown, elements.format, elements.count, data, stride, sparse)).or_insert(i)
         };
@@ -93,8 +96,8 @@ impl<'a> Accessors<'a> {
 impl<'a> AccessorData<'a> {
     fn new(document: &Document, buffers: &'a Buffers, budget: &mut Budget, index: usize) -> Result<Self> {
         let accessor = &document.accessors[index];
-        let fault = |cause: String| document.fault(format!("/accessors/{index}"), cause);
-        let count = usize::try_from(accessor.count.0).map_err(|_| fault("its count is beyond all memory".into()))?;
+        let error = |fault: AccessorFault| document.error_at(format!("/accessors/{index}"), fault);
+        let count = usize::try_from(accessor.count.0).map_err(|_| error(AccessorFault::CountTooLarge))?;
         let mut elements = Self { index, count, format: Format::of(accessor), data: Data::Zero, sparse: None };
         let Some(format) = elements.format else { return Ok(elements) };
 
@@ -102,7 +105,7 @@ impl<'a> AccessorData<'a> {
             let view = view.value();
             let stride = document.views[view].byte_stride.map_or(format.stride(), |s| s.0);
             let offset = accessor.byte_offset.map_or(0, |o| o.0);
-            check_extent(document, view, offset, count, stride, format.size()).map_err(fault)?;
+            check_extent(document, view, offset, count, stride, format.size()).map_err(error)?;
             if buffers.has_data(document, view) {
                 // The extent fits into the view, so the offset fits into memory.
                 let bytes = &buffers.view(document, view)?[offset as usize..];
@@ -115,6 +118,7 @@ impl<'a> AccessorData<'a> {
         Ok(elements)
     }
 
+    /// Checks and reads the sparse indices, if there are any, and checks the range of the values.
     fn add_sparse(
         &mut self,
         document: &Document,
@@ -123,58 +127,66 @@ impl<'a> AccessorData<'a> {
         format: Format,
     ) -> Result<()> {
         let Some(sparse) = &document.accessors[self.index].sparse else { return Ok(()) };
-        let object = || format!("/accessors/{}/sparse", self.index);
-        let fault = |cause: String| document.fault(object(), cause);
+        let pointer = || format!("/accessors/{}/sparse", self.index);
+        let error = |fault: AccessorFault| document.error_at(pointer(), fault);
+
+        // 1. Check the count, the type of the indices, and the ranges in the buffer views.
         let count = usize::try_from(sparse.count.0).ok().filter(|&c| c <= self.count);
         let Some(count) = count else {
-            return Err(fault(format!("its count is {}, but the accessor has {}", sparse.count.0, self.count)));
+            return Err(error(AccessorFault::SparseCount { count: sparse.count.0, accessor_count: self.count }));
         };
         let Some(component) = Component::of_indices(&sparse.indices.component_type) else {
-            return Err(fault("its indices are of an unknown type".into()));
+            return Err(error(AccessorFault::SparseIndexType));
         };
         let (indices, values) = (sparse.indices.buffer_view.value(), sparse.values.buffer_view.value());
         let (index_offset, value_offset) = (sparse.indices.byte_offset.0, sparse.values.byte_offset.0);
         let index_size = component.size();
-        check_extent(document, indices, index_offset, count, index_size, index_size).map_err(fault)?;
-        check_extent(document, values, value_offset, count, format.stride(), format.size()).map_err(fault)?;
+        check_extent(document, indices, index_offset, count, index_size, index_size).map_err(error)?;
+        check_extent(document, values, value_offset, count, format.stride(), format.size()).map_err(error)?;
         if !buffers.has_data(document, indices) || !buffers.has_data(document, values) {
             self.data = Data::Missing;
             return Ok(());
         }
 
-        budget.charge(count, size_of::<u32>(), document, object)?;
+        // 2. Read the indices.
+        budget.charge(count, size_of::<u32>(), document, pointer)?;
         let bytes = &buffers.view(document, indices)?[index_offset as usize..];
         let indices: Vec<u32> = match component {
             Component::U8 => bytes[..count].iter().map(|&b| b.into()).collect(),
             Component::U16 => components(bytes, |b| u16::from_le_bytes(b).into()).take(count).collect(),
             _ => components(bytes, u32::from_le_bytes).take(count).collect(),
         };
-        if let Some(&last) = indices.last().filter(|&&last| last as usize >= self.count) {
-            return Err(fault(format!("replaces element {last}, but the accessor has {}", self.count)));
+
+        // 3. Check that they ascend and stay below the accessor's count.
+        if let Some(&element) = indices.last().filter(|&&last| last as usize >= self.count) {
+            return Err(error(AccessorFault::SparseIndexOutOfRange { element, accessor_count: self.count }));
         }
         if !indices.is_sorted_by(|a, b| a < b) {
-            return Err(fault("its indices do not ascend".into()));
+            return Err(error(AccessorFault::SparseOrder));
         }
         self.sparse = Some(Sparse { indices, values: &buffers.view(document, values)?[value_offset as usize..] });
         Ok(())
     }
 
-    /// Checks that the accessor has a format that its user can read. `role` is the user, `expected` names the formats in words.
+    /// Checks that the format is one that the use of the accessor allows. `role` is that use, such as "POSITION", and
+    /// `expected` names the formats in words.
     pub(super) fn require_format(
         &self,
         document: &Document,
-        role: &str,
-        expected: &str,
+        role: &'static str,
+        expected: &'static str,
         accepts: impl FnOnce(Format) -> bool,
     ) -> Result<Format> {
         match self.format {
             Some(format) if accepts(format) => Ok(format),
-            Some(format) => Err(document.fault(self.pointer(), format!("is {format}, but {role} must be {expected}"))),
-            None => Err(document.fault(self.pointer(), "is of an unknown type")),
+            Some(format) => {
+                Err(self.error(document, AccessorFault::Format { found: format.to_string(), role, expected }))
+            }
+            None => Err(self.error(document, AccessorFault::UnknownFormat)),
         }
     }
 
-    /// Whether it can be read; not so if its buffer is only a place for what an extension decompresses.
+    /// Whether it can be read; false if the buffer is a placeholder for data decompressed by an unsupported extension.
     pub(super) fn has_data(&self) -> bool {
         !matches!(self.data, Data::Missing)
     }
@@ -211,7 +223,7 @@ impl<'a> AccessorData<'a> {
                 self.gather(selection, |b| (f32::from(i16::from_le_bytes(b)) / signed_shorts).max(-1.0))
             }
             (Component::I16, false) => self.gather(selection, |b| f32::from(i16::from_le_bytes(b))),
-            (Component::U32, _) => return Err(document.fault(self.pointer(), "32-bit integers are no coordinates")),
+            (Component::U32, _) => return Err(self.error(document, AccessorFault::IntegerCoordinates)),
         };
         self.check_finite::<T, N>(document, selection, &out)?;
         Ok(out)
@@ -226,19 +238,22 @@ impl<'a> AccessorData<'a> {
             Component::U8 => Ok(self.gather(selection, |[b]: [u8; 1]| u32::from(b))),
             Component::U16 => Ok(self.gather(selection, |b| u32::from(u16::from_le_bytes(b)))),
             Component::U32 => Ok(self.gather(selection, u32::from_le_bytes)),
-            _ => Err(document.fault(self.pointer(), "holds no unsigned integers")),
+            _ => Err(self.error(document, AccessorFault::NotUnsigned)),
         }
     }
 
-    /// The format, where it has `N` components and there is data.
+    /// The format; an error unless it has `N` components and there is data.
     fn checked_format<const N: usize>(&self, document: &Document) -> Result<Format> {
-        if !self.has_data() {
-            return Err(document.fault(self.pointer(), "its buffer has no data"));
-        }
-        self.require_format(document, "it", &format!("of {N} components"), |format| format.shape.components() == N)
+        let fault = match self.format {
+            _ if !self.has_data() => AccessorFault::NoData,
+            Some(format) if format.shape.components() == N => return Ok(format),
+            Some(format) => AccessorFault::ComponentCount { found: format.to_string(), expected: N },
+            None => AccessorFault::UnknownFormat,
+        };
+        Err(self.error(document, fault))
     }
 
-    /// Decodes components of `S` bytes into elements of `N` of them. The format has been checked to have `N` components of `S` bytes.
+    /// Decodes elements of `N` components of `S` bytes each. The format has been checked to have such elements.
     fn gather<T, V, const N: usize, const S: usize>(
         &self,
         selection: Selection,
@@ -253,6 +268,7 @@ impl<'a> AccessorData<'a> {
             values.iter_mut().zip(components(bytes, component)).for_each(|(value, decoded)| *value = decoded);
             T::from(values)
         };
+        // 1. Read the dense elements, or zeros if there is no buffer view.
         let mut out: Vec<T> = match (self.data, selection) {
             (Data::Strided { bytes, stride }, Selection::All) => {
                 bytes.chunks(stride).take(self.count).map(element).collect()
@@ -263,21 +279,22 @@ impl<'a> AccessorData<'a> {
             (_, selection) => vec![T::zeroed(); self.selected_count(selection)],
         };
 
+        // 2. Substitute the sparse elements that are selected.
         if let Some(sparse) = &self.sparse {
             for (&i, value) in sparse.indices.iter().zip(sparse.values.chunks(N * S)) {
-                let place = match selection {
+                let position = match selection {
                     Selection::All => Ok(i as usize),
                     Selection::Indices(indices) => indices.binary_search(&i),
                 };
-                if let Ok(place) = place {
-                    out[place] = element(value);
+                if let Ok(position) = position {
+                    out[position] = element(value);
                 }
             }
         }
         out
     }
 
-    /// How many elements a selection has.
+    /// The number of elements of a selection.
     pub(super) fn selected_count(&self, selection: Selection) -> usize {
         match selection {
             Selection::All => self.count,
@@ -291,11 +308,12 @@ impl<'a> AccessorData<'a> {
             Selection::All => i / N,
             Selection::Indices(indices) => indices[i / N] as usize,
         };
-        Err(document.fault(self.pointer(), format!("element {element} is not finite")))
+        Err(self.error(document, AccessorFault::NotFinite { element }))
     }
 
-    fn pointer(&self) -> String {
-        format!("/accessors/{}", self.index)
+    /// The error about this accessor.
+    fn error(&self, document: &Document, fault: AccessorFault) -> Error {
+        document.error_at(format!("/accessors/{}", self.index), fault)
     }
 }
 
@@ -304,7 +322,7 @@ fn components<V, const S: usize>(bytes: &[u8], decode: impl Fn([u8; S]) -> V) ->
     bytes.as_chunks::<S>().0.iter().map(move |chunk| decode(*chunk))
 }
 
-/// Checks that elements lie within a view, without overflow whatever the numbers.
+/// Checks that elements lie within a buffer view. No number in the file can overflow the check.
 fn check_extent(
     document: &Document,
     view: usize,
@@ -312,17 +330,15 @@ fn check_extent(
     count: usize,
     stride: usize,
     size: usize,
-) -> Result<(), String> {
+) -> Result<(), AccessorFault> {
     let available = document.views[view].byte_length.0;
     if stride < size {
-        return Err(format!("the byteStride of buffer view {view} is {stride}, less than an element of {size} bytes"));
+        return Err(AccessorFault::StrideTooSmall { view, stride, size });
     }
     let length =
         count.checked_sub(1).map_or(Some(0), |n| (n as u64).checked_mul(stride as u64)?.checked_add(size as u64));
     match length.and_then(|length| offset.checked_add(length)) {
         Some(end) if end <= available => Ok(()),
-        _ => Err(format!(
-            "its {count} elements of {size} bytes, {stride} apart, from byte {offset}, do not fit into the {available} bytes of buffer view {view}"
-        )),
+        _ => Err(AccessorFault::OutOfRange { count, size, stride, offset, available, view }),
     }
 }

@@ -5,31 +5,33 @@ use glam::Vec2;
 use json::camera::Type;
 use json::validation::Checked::{Invalid, Valid};
 
-use super::Document;
 use super::warnings::Warnings;
+use super::{Document, GltfFault, WarningKind};
 use crate::Result;
 use crate::graph::Camera;
 
-/// The widest field of view there is: 179 degrees.
+/// The largest vertical field of view that is accepted, in radians: 179 degrees.
 const MAX_Y_FOV: f32 = 179.0 / 180.0 * std::f32::consts::PI;
 
-/// The camera with this index in the file; `None` if it is of a type that glTF does not know. The clip planes are not used.
-pub(super) fn convert(document: &Document, index: usize, notes: &mut Warnings) -> Result<Option<Camera>> {
+/// The camera with this index in the file; `None` if it is of a type that glTF does not define. The clip planes are not
+/// used.
+pub(super) fn convert(document: &Document, index: usize, warnings: &mut Warnings) -> Result<Option<Camera>> {
     let camera = &document.cameras[index];
     let pointer = format!("/cameras/{index}");
-    let positive = |what: &str, value: f32| {
+    let positive = |what: &'static str, value: f32| {
         let valid = value > 0.0 && value.is_finite();
         if valid {
             Ok(value)
         } else {
-            Err(document.fault(&*pointer, format!("{what} is {value}, but must be above 0")))
+            Err(document.error_at(&*pointer, GltfFault::OutOfRange { what, value, expected: "finite and above 0" }))
         }
     };
     match (&camera.type_, &camera.perspective, &camera.orthographic) {
         (Valid(Type::Perspective), Some(perspective), _) => {
             let mut y_fov = positive("yfov", perspective.yfov)?;
             if y_fov > MAX_Y_FOV {
-                notes.add(document, "yfov", &*pointer, format!("is {y_fov}, too wide to be seen: {MAX_Y_FOV} is used"));
+                let fallback = format!("is {y_fov}, too wide to be seen: {MAX_Y_FOV} is used");
+                warnings.add(document, WarningKind::Value, "yfov", &*pointer, fallback);
                 y_fov = MAX_Y_FOV;
             }
             let aspect = perspective.aspect_ratio.map(|aspect| positive("aspectRatio", aspect)).transpose()?;
@@ -38,13 +40,14 @@ pub(super) fn convert(document: &Document, index: usize, notes: &mut Warnings) -
         (Valid(Type::Orthographic), _, Some(orthographic)) => {
             let (x_mag, y_mag) = (orthographic.xmag, orthographic.ymag);
             if x_mag < 0.0 || y_mag < 0.0 {
-                notes.add(document, "negative xmag or ymag", &*pointer, "not supported: the image is not mirrored");
+                let fallback = "not supported: the image is not mirrored";
+                warnings.add(document, WarningKind::Feature, "negative xmag or ymag", &*pointer, fallback);
             }
             Ok(Some(Camera::orthographic(positive("xmag", x_mag.abs())?, positive("ymag", y_mag.abs())?)))
         }
-        (Valid(_), ..) => Err(document.fault(pointer, "has no properties of its type")),
+        (Valid(_), ..) => Err(document.error_at(pointer, GltfFault::NoProperties)),
         (Invalid, ..) => {
-            notes.add(document, "camera of unknown type", pointer, "left out");
+            warnings.add(document, WarningKind::Feature, "camera of unknown type", pointer, "left out");
             Ok(None)
         }
     }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::error_at;
+use super::{ContainerFault, error_at};
 use crate::Result;
 
 const MAGIC: &[u8; 4] = b"glTF";
@@ -21,66 +21,63 @@ pub(super) struct Container<'a> {
 }
 
 impl<'a> Container<'a> {
-    /// Tells the container by its magic number, not by the file's name. O(chunks).
+    /// Splits a file into its parts. GLB is detected by its magic number, not by the file extension. O(chunks).
     pub(super) fn parse(bytes: &'a [u8], path: &Path) -> Result<Self> {
         let parts = if bytes.starts_with(MAGIC) { Self::parse_glb(bytes) } else { Ok(Self { json: bytes, bin: None }) };
         let mut parts = parts.map_err(|cause| error_at(path, "", cause))?;
         parts.json = parts.json.strip_prefix(BYTE_ORDER_MARK).unwrap_or(parts.json);
         if parts.json.is_empty() {
-            return Err(error_at(path, "", "there is no JSON in it: neither a glTF nor a GLB file"));
+            return Err(error_at(path, "", ContainerFault::NoJson));
         }
         Ok(parts)
     }
 
-    fn parse_glb(bytes: &'a [u8]) -> Result<Self, String> {
-        let (Some(version), Some(length)) = (read_u32(bytes, 4), read_u32(bytes, 8)) else {
-            return Err("the GLB header is cut short".into());
+    fn parse_glb(bytes: &'a [u8]) -> Result<Self, ContainerFault> {
+        // 1. Check the header: magic number, version, length.
+        let (Some(version), Some(declared)) = (read_u32(bytes, 4), read_u32(bytes, 8)) else {
+            return Err(ContainerFault::TruncatedHeader);
         };
         if version != 2 {
-            return Err(format!("is GLB version {version}; only version 2 is known"));
+            return Err(ContainerFault::Version { found: version });
         }
-        // What follows the declared length is not part of the file; the glTF validator only warns of it.
-        let bytes = bytes.get(..length as usize).ok_or_else(|| {
-            format!("the GLB header says {length} bytes, but the file has {}: was the download cut short?", bytes.len())
-        })?;
-        let (mut json, mut bin) = (None, None);
-        let mut rest = bytes.get(HEADER_BYTES..).ok_or("the GLB length is shorter than its own header")?;
+        // Bytes after the declared length are not part of the file; the glTF validator only warns of them.
+        let truncated = ContainerFault::TruncatedFile { declared, found: bytes.len() };
+        let bytes = bytes.get(..declared as usize).ok_or(truncated)?;
+        let mut rest = bytes.get(HEADER_BYTES..).ok_or(ContainerFault::LengthBelowHeader)?;
 
+        // 2. Find the JSON chunk, which comes first, and the binary chunk.
+        let (mut json, mut bin) = (None, None);
         while !rest.is_empty() {
             let (kind, data, after) = split_chunk(rest)?;
-            let slot = match kind {
+            rest = after;
+            let chunk = match kind {
                 JSON_CHUNK => &mut json,
                 BIN_CHUNK => &mut bin,
-                // Chunks of other kinds are to be ignored, but never before the JSON chunk.
-                _ if json.is_some() => {
-                    rest = after;
-                    continue;
-                }
-                _ => return Err("the first GLB chunk is not JSON".into()),
+                // Chunks of other kinds are ignored, but cannot precede the JSON chunk.
+                _ if json.is_some() => continue,
+                _ => return Err(ContainerFault::FirstChunkNotJson),
             };
-            if slot.replace(data).is_some() {
-                return Err("a GLB chunk of the same kind appears twice".into());
+            if chunk.replace(data).is_some() {
+                return Err(ContainerFault::DuplicateChunk);
             }
             if json.is_none() {
-                return Err("the first GLB chunk is not JSON".into());
+                return Err(ContainerFault::FirstChunkNotJson);
             }
-            rest = after;
         }
-        Ok(Self { json: json.ok_or("the GLB file has no JSON chunk")?, bin })
+        Ok(Self { json: json.ok_or(ContainerFault::NoJsonChunk)?, bin })
     }
 }
 
-/// The first chunk's kind and data, and what comes after it.
-fn split_chunk(bytes: &[u8]) -> Result<(u32, &[u8], &[u8]), String> {
-    let (Some(length), Some(kind)) = (read_u32(bytes, 0), read_u32(bytes, 4)) else {
-        return Err("a GLB chunk header is cut short".into());
+/// The first chunk's kind and data, and the bytes after it.
+fn split_chunk(bytes: &[u8]) -> Result<(u32, &[u8], &[u8]), ContainerFault> {
+    let (Some(declared), Some(kind)) = (read_u32(bytes, 0), read_u32(bytes, 4)) else {
+        return Err(ContainerFault::TruncatedChunkHeader);
     };
     let body = &bytes[CHUNK_HEADER_BYTES..];
-    if length as usize > body.len() {
-        return Err(format!("a GLB chunk says {length} bytes, but only {} are left", body.len()));
+    match body.split_at_checked(declared as usize) {
+        Some((data, after)) => Ok((kind, data, after)),
+        None => Err(ContainerFault::TruncatedChunk { declared, found: body.len() }),
     }
-    let (data, after) = body.split_at(length as usize);
-    Ok((kind, data, after))
 }
 
 /// The little-endian word at a byte offset.

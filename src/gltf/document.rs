@@ -1,7 +1,7 @@
 //! The JSON of a glTF file as typed objects, with everything checked that can be checked without the binary data.
 //!
-//! The crate `gltf` provides the types. Its own checks let through node cycles, nodes with two parents and indices out of
-//! range (it also cuts indices to 32 bits), so the checks here run on the JSON itself, before anything is typed.
+//! The crate `gltf` provides the types. Its own checks let through node cycles, nodes with two parents and indices out
+//! of range (it also cuts indices to 32 bits), so the checks here run on the JSON itself, before anything is typed.
 
 use std::path::Path;
 
@@ -10,11 +10,11 @@ use glam::{DAffine3, DMat3, DQuat, DVec3};
 use serde::Deserialize;
 use serde_json::{Number, Value};
 
-use super::{NodeForest, error_at, references};
+use super::{GltfFault, NodeForest, TransformFault, error_at, references};
 use crate::graph::Transform;
 use crate::{Error, Result};
 
-/// The extensions that are honoured; a file that requires any other is refused.
+/// The extensions that are supported; a file that requires any other is refused.
 pub(super) const EXTENSIONS: &[&str] = &[
     "EXT_mesh_gpu_instancing",
     "KHR_lights_punctual",
@@ -27,7 +27,7 @@ pub(super) const EXTENSIONS: &[&str] = &[
     "KHR_texture_transform",
 ];
 
-/// A checked glTF document: every index in it names something, and its nodes are trees.
+/// A checked glTF document: every index in it is in range, and its nodes form trees.
 pub(super) struct Document<'a> {
     /// The file, for messages.
     pub(super) path: &'a Path,
@@ -48,7 +48,7 @@ pub(super) struct Document<'a> {
     pub(super) textures: Vec<json::Texture>,
     /// The local transform of each node, read in f64.
     pub(super) transforms: Vec<Transform>,
-    /// Who is whose child.
+    /// The parent of each node, and a topological order.
     pub(super) hierarchy: NodeForest,
 }
 
@@ -57,15 +57,18 @@ impl<'a> Document<'a> {
     ///
     /// Nesting is limited to 128 levels by `serde_json`, so nothing that walks the tree can overflow the stack.
     pub(super) fn parse(text: &[u8], path: &'a Path) -> Result<Self> {
+        // 1. Parse the text into untyped JSON, and bring it into the form that the crate's types accept.
         let mut value: Value =
-            serde_json::from_slice(text).map_err(|e| error_at(path, "", format!("is not valid JSON: {e}")))?;
+            serde_json::from_slice(text).map_err(|e| error_at(path, "", GltfFault::Json(e.to_string())))?;
         normalize_numbers_and_drop_extras(&mut value);
         add_empty_lists(&mut value);
 
+        // 2. Check what the crate does not: versions, extensions, references.
         check_version(&value, path)?;
         check_required_extensions(&value, path)?;
         references::check(&value, path)?;
 
+        // 3. Convert each array to the crate's types.
         let nodes: Vec<json::Node> = parse_array(&value, "/nodes", path)?;
         let scenes = parse_array(&value, "/scenes", path)?;
         Ok(Self {
@@ -89,12 +92,12 @@ impl<'a> Document<'a> {
         })
     }
 
-    /// An error about an object of this file.
-    pub(super) fn fault(&self, object: impl Into<String>, cause: impl Into<String>) -> Error {
-        error_at(self.path, object, cause)
+    /// The error about the object of this file at a JSON pointer.
+    pub(super) fn error_at(&self, pointer: impl Into<String>, cause: impl Into<GltfFault>) -> Error {
+        error_at(self.path, pointer, cause)
     }
 
-    /// What a node's extension says, where the crate has no type for it.
+    /// A node's extension as untyped JSON, for an extension that the crate has no type for.
     pub(super) fn node_extension(&self, node: usize, extension: &str) -> Option<&Value> {
         self.nodes[node].extensions.as_ref()?.others.get(extension)
     }
@@ -105,16 +108,18 @@ fn parse_array<T: for<'de> Deserialize<'de>>(root: &Value, pointer: &str, path: 
     let elements = match root.pointer(pointer) {
         None => return Ok(Vec::new()),
         Some(Value::Array(elements)) => elements,
-        Some(_) => return Err(error_at(path, pointer, "is not an array")),
+        Some(_) => return Err(error_at(path, pointer, GltfFault::NotAnArray)),
     };
-    let parse = |(i, element)| {
-        T::deserialize(element).map_err(|e: serde_json::Error| error_at(path, format!("{pointer}/{i}"), e.to_string()))
-    };
+    let parse = |(i, element)| T::deserialize(element).map_err(|e| schema_error(path, format!("{pointer}/{i}"), &e));
     elements.iter().enumerate().map(parse).collect()
 }
 
-/// Rewrites whole numbers written as "1.0" or "1e0", which JSON does not tell from "1" but serde does; and drops the
-/// application's own `extras`, which may be anything, but which the crate's types take for objects.
+fn schema_error(path: &Path, pointer: impl Into<String>, error: &serde_json::Error) -> Error {
+    error_at(path, pointer, GltfFault::Schema(error.to_string()))
+}
+
+/// Rewrites whole numbers written as "1.0" or "1e0" as integers, since serde reads an integer from "1" only; and drops
+/// the application's own `extras`, which may be of any type, while the crate's types require objects.
 fn normalize_numbers_and_drop_extras(root: &mut Value) {
     const LARGEST_EXACT: f64 = (1_u64 << f64::MANTISSA_DIGITS) as f64;
     let mut pending = vec![root];
@@ -135,7 +140,7 @@ fn normalize_numbers_and_drop_extras(root: &mut Value) {
     }
 }
 
-/// Writes out the one list that glTF may leave out and the crate's types may not: the root nodes of an empty scene.
+/// Adds the `nodes` array of an empty scene, which glTF makes optional and the crate's types require.
 fn add_empty_lists(root: &mut Value) {
     let scenes = root.get_mut("scenes").and_then(Value::as_array_mut);
     for scene in scenes.into_iter().flatten().filter_map(Value::as_object_mut) {
@@ -143,18 +148,19 @@ fn add_empty_lists(root: &mut Value) {
     }
 }
 
-/// Only the major version matters, for minor versions are backward compatible; unless the file says which one it needs.
+/// Only the major version matters, since minor versions are backward compatible, unless `minVersion` requires a newer
+/// one.
 fn check_version(root: &Value, path: &Path) -> Result<()> {
     let Some(Value::String(version)) = root.pointer("/asset/version") else {
-        return Err(error_at(path, "/asset", "there is no version: this is not a glTF 2.0 file"));
+        return Err(error_at(path, "/asset", GltfFault::NoVersion));
     };
     if !matches!(parse_version(version), Some((2, _))) {
-        return Err(error_at(path, "/asset/version", format!("is {version:?}; only glTF 2 is known")));
+        return Err(error_at(path, "/asset/version", GltfFault::Version { found: version.clone() }));
     }
     match root.pointer("/asset/minVersion") {
         None => Ok(()),
         Some(least) if least.as_str().and_then(parse_version).is_some_and(|least| least <= (2, 0)) => Ok(()),
-        Some(least) => Err(error_at(path, "/asset/minVersion", format!("is {least}; glTF 2.0 is the newest known"))),
+        Some(least) => Err(error_at(path, "/asset/minVersion", GltfFault::MinVersion { found: least.to_string() })),
     }
 }
 
@@ -166,15 +172,15 @@ fn parse_version(version: &str) -> Option<(u32, u32)> {
 
 fn check_required_extensions(root: &Value, path: &Path) -> Result<()> {
     let Some(required) = root.get("extensionsRequired") else { return Ok(()) };
-    let names =
-        Vec::<String>::deserialize(required).map_err(|e| error_at(path, "/extensionsRequired", e.to_string()))?;
+    let names = Vec::<String>::deserialize(required).map_err(|e| schema_error(path, "/extensionsRequired", &e))?;
     match names.into_iter().find(|name| !EXTENSIONS.contains(&name.as_str())) {
         None => Ok(()),
         Some(extension) => Err(Error::UnsupportedExtension { path: path.into(), extension }),
     }
 }
 
-/// The local transform of every node, in f64: the crate's types would round positions on a globe to half a metre.
+/// The local transform of every node, in f64: the crate's types are f32, which would round positions on a globe to half
+/// a metre.
 fn transforms(root: &Value, path: &Path) -> Result<Vec<Transform>> {
     let nodes = root.get("nodes").and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
     nodes
@@ -184,7 +190,7 @@ fn transforms(root: &Value, path: &Path) -> Result<Vec<Transform>> {
         .collect()
 }
 
-fn transform(node: &Value) -> Result<Transform, String> {
+fn transform(node: &Value) -> Result<Transform, TransformFault> {
     let translation = numbers::<3>(node, "translation")?;
     let rotation = numbers::<4>(node, "rotation")?;
     let scale = numbers::<3>(node, "scale")?;
@@ -192,7 +198,7 @@ fn transform(node: &Value) -> Result<Transform, String> {
     let Some(matrix) = numbers::<16>(node, "matrix")? else {
         let rotation = match rotation {
             None => DQuat::IDENTITY,
-            Some(q) => unit_quaternion(q).ok_or("its rotation is zero: it must be a unit quaternion")?,
+            Some(q) => unit_quaternion(q).ok_or(TransformFault::ZeroRotation)?,
         };
         return Ok(Transform::Trs {
             translation: translation.map_or(DVec3::ZERO, DVec3::from),
@@ -201,17 +207,17 @@ fn transform(node: &Value) -> Result<Transform, String> {
         });
     };
     if translation.is_some() || rotation.is_some() || scale.is_some() {
-        return Err("it has both a matrix and a translation, rotation or scale".into());
+        return Err(TransformFault::MatrixAndTrs);
     }
     let column = |i: usize| DVec3::new(matrix[4 * i], matrix[4 * i + 1], matrix[4 * i + 2]);
     if [matrix[3], matrix[7], matrix[11], matrix[15]] != [0.0, 0.0, 0.0, 1.0] {
-        return Err("its matrix is not affine: the last row must be 0, 0, 0, 1".into());
+        return Err(TransformFault::NotAffine);
     }
     let matrix3 = DMat3::from_cols(column(0), column(1), column(2));
     Ok(Transform::Matrix(DAffine3 { matrix3, translation: column(3) }))
 }
 
-/// The unit quaternion in a direction, for any length but zero.
+/// The quaternion scaled to length 1, for any length but zero.
 fn unit_quaternion(components: [f64; 4]) -> Option<DQuat> {
     // Scaled by the largest component first, so that the square of the length neither overflows nor vanishes.
     let q = DQuat::from_array(components);
@@ -220,12 +226,12 @@ fn unit_quaternion(components: [f64; 4]) -> Option<DQuat> {
 }
 
 /// A member that is an array of exactly `N` numbers; JSON numbers are finite.
-fn numbers<const N: usize>(object: &Value, key: &str) -> Result<Option<[f64; N]>, String> {
-    let Some(value) = object.get(key) else { return Ok(None) };
+fn numbers<const N: usize>(object: &Value, member: &'static str) -> Result<Option<[f64; N]>, TransformFault> {
+    let Some(value) = object.get(member) else { return Ok(None) };
     let numbers: Option<Vec<f64>> = value.as_array().and_then(|a| a.iter().map(Value::as_f64).collect());
     match numbers.and_then(|n| <[f64; N]>::try_from(n).ok()) {
         Some(numbers) => Ok(Some(numbers)),
-        None => Err(format!("its {key} is not an array of {N} numbers")),
+        None => Err(TransformFault::NotNumbers { member, count: N }),
     }
 }
 
@@ -268,7 +274,7 @@ mod tests {
         ] {
             assert_eq!(check(asset.clone()), Ok(()), "{asset}");
         }
-        for (asset, object) in [
+        for (asset, pointer) in [
             (json!({}), "/asset:"),
             (json!({"version": "1.0"}), "/asset/version"),
             (json!({"version": "2"}), "/asset/version"),
@@ -278,20 +284,33 @@ mod tests {
             (json!({"version": "2.0", "minVersion": 2}), "/asset/minVersion"),
         ] {
             let error = check(asset.clone()).expect_err(&asset.to_string());
-            assert!(error.contains(object), "{asset}: {error}");
+            assert!(error.contains(pointer), "{asset}: {error}");
         }
     }
 
     #[test]
     fn bad_transforms_are_errors() {
-        for node in [
-            json!({"rotation": [0, 0, 0, 0]}),
-            json!({"translation": [1, 2]}),
-            json!({"scale": [1, 2, "x"]}),
-            json!({"matrix": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 2]}),
-            json!({"matrix": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1], "scale": [1, 1, 1]}),
+        let not_numbers = |member, count| TransformFault::NotNumbers { member, count };
+        for (node, fault) in [
+            (json!({"rotation": [0, 0, 0, 0]}), TransformFault::ZeroRotation),
+            (json!({"translation": [1, 2]}), not_numbers("translation", 3)),
+            (json!({"scale": [1, 2, "x"]}), not_numbers("scale", 3)),
+            (json!({"matrix": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 2]}), TransformFault::NotAffine),
+            (
+                json!({"matrix": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1], "scale": [1, 1, 1]}),
+                TransformFault::MatrixAndTrs,
+            ),
         ] {
-            assert!(transform(&node).is_err(), "{node}");
+            assert_eq!(transform(&node), Err(fault), "{node}");
         }
+    }
+
+    /// The documentation of the module and the table of the code list the same extensions.
+    #[test]
+    fn the_supported_extensions_are_documented() {
+        let documentation: String = include_str!("mod.rs").lines().take_while(|line| line.starts_with("//!")).collect();
+        let list = documentation.split("Extensions supported:").nth(1).unwrap().split(". ").next().unwrap();
+        let names: Vec<&str> = list.split('`').skip(1).step_by(2).collect();
+        assert_eq!(names, EXTENSIONS);
     }
 }

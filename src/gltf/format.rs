@@ -1,4 +1,4 @@
-//! How an accessor's elements are encoded.
+//! Element formats of accessors.
 
 use std::fmt;
 
@@ -6,23 +6,23 @@ use ::gltf::json;
 use json::accessor::{ComponentType, IndexComponentType, Type};
 use json::validation::Checked::{self, Valid};
 
-/// Shape and encoding of an element.
+/// Shape and component type of an element.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) struct Format {
     pub(super) shape: Shape,
     pub(super) component: Component,
-    /// Whether integers stand for fractions of their largest value.
+    /// Whether integers are normalized: they stand for 0 to 1 or, if signed, -1 to 1.
     pub(super) normalized: bool,
 }
 
-/// Number of components, and whether they are a matrix.
+/// Number of components of a vector, or of rows and columns of a square matrix.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) enum Shape {
     Vector(usize),
     Matrix(usize),
 }
 
-/// Encoding of a component.
+/// Type of a component.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) enum Component {
     I8,
@@ -34,7 +34,7 @@ pub(super) enum Component {
 }
 
 impl Format {
-    /// The format of an accessor; `None` where glTF knows no such format.
+    /// The format of an accessor; `None` if glTF does not define it.
     pub(super) fn of(accessor: &json::Accessor) -> Option<Self> {
         let (Valid(kind), Valid(component)) = (&accessor.type_, &accessor.component_type) else { return None };
         let shape = match kind {
@@ -54,7 +54,7 @@ impl Format {
         self.shape == Shape::Vector(components)
     }
 
-    /// Whether it is f32, or an integer that stands for a fraction.
+    /// Whether its components are f32 or normalized integers.
     pub(super) fn is_float_or_normalized(self) -> bool {
         match self.component {
             Component::F32 => true,
@@ -63,7 +63,7 @@ impl Format {
         }
     }
 
-    /// Bytes of an element. The columns of matrices start at multiples of 4 bytes.
+    /// Bytes of an element. The columns of matrices are aligned to 4 bytes.
     pub(super) fn size(self) -> usize {
         match self.shape {
             Shape::Vector(n) => n * self.component.size(),
@@ -71,7 +71,8 @@ impl Format {
         }
     }
 
-    /// Bytes from one element to the next, where the file does not say: no gap but after the last column of a matrix.
+    /// Bytes from one element to the next if the file gives no `byteStride`: elements are tightly packed, but the last
+    /// column of a matrix is padded to 4 bytes as the others.
     pub(super) fn stride(self) -> usize {
         match self.shape {
             Shape::Vector(_) => self.size(),
@@ -81,7 +82,7 @@ impl Format {
 }
 
 impl Shape {
-    /// Numbers in an element.
+    /// Components of an element.
     pub(super) fn components(self) -> usize {
         match self {
             Self::Vector(n) => n,
@@ -91,7 +92,7 @@ impl Shape {
 }
 
 impl Component {
-    /// The type of sparse indices; `None` where glTF knows no such type.
+    /// The type of sparse indices; `None` if glTF does not define it.
     pub(super) fn of_indices(component: &Checked<IndexComponentType>) -> Option<Self> {
         match component {
             Valid(component) => Some(component.0.into()),

@@ -1,7 +1,7 @@
-//! From a mesh primitive to a [`Geometry`].
+//! Conversion of a mesh primitive to a [`Geometry`].
 //!
-//! A [`GeometrySource`] says which accessors make a geometry, and how. Primitives with equal recipes share one geometry, however many meshes
-//! they are in and whatever their materials.
+//! A [`GeometrySource`] is what determines a geometry: accessors, topology and pose. Primitives with equal sources
+//! share one geometry, however many meshes they are in and whatever their materials.
 
 use std::sync::Arc;
 
@@ -13,11 +13,11 @@ use json::validation::Checked::Valid;
 use super::accessor::Selection;
 use super::format::{Component, Format};
 use super::topology::{Topology, compact_vertices};
-use super::{Accessors, Budget, Document, Pose, normals};
+use super::{AccessorFault, Accessors, Budget, Document, GltfFault, Pose, PrimitiveFault, normals};
 use crate::Result;
 use crate::graph::Geometry;
 
-/// Which accessors make a geometry. Accessors with the same content have the same number here.
+/// What determines a geometry. Accessors are given by their canonical index, so that equal content compares equal.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(super) struct GeometrySource {
     topology: Topology,
@@ -29,57 +29,58 @@ pub(super) struct GeometrySource {
     pose: Pose,
 }
 
-/// Why a primitive makes no geometry.
+/// Why a primitive has no geometry.
 pub(super) enum SkipReason {
-    /// It is made of these: "points".
+    /// It consists of "points" or "lines".
     NotTriangles(&'static str),
-    /// It has no positions: an extension would have to make them.
+    /// It has no positions: an unsupported extension would generate them.
     NoPositions,
-    /// Its positions make no whole triangle.
+    /// It has too few vertices for a triangle.
     NoTriangles,
-    /// The file does not hold the data of some accessor: an extension would have to bring it.
+    /// The file does not hold the data of some accessor: an unsupported extension would provide it.
     NoData,
 }
 
 impl GeometrySource {
-    /// The recipe of a primitive, checked against its accessors' formats and lengths but not their data. `same_as` names equal accessors.
-    /// `pointer` is the primitive, for messages.
+    /// The source of a primitive, checked against its accessors' formats and lengths but not their data.
+    /// `canonical_accessor` maps each accessor to the first equal one. `pointer` is the primitive's, for messages.
     pub(super) fn new(
         document: &Document,
         accessors: &Accessors,
-        same_as: &[usize],
+        canonical_accessor: &[usize],
         primitive: &json::mesh::Primitive,
         pointer: &str,
     ) -> Result<Result<Self, SkipReason>> {
         let Valid(mode) = primitive.mode else {
-            return Err(document.fault(format!("{pointer}/mode"), "is no mode that glTF knows"));
+            return Err(document.error_at(format!("{pointer}/mode"), GltfFault::UnknownMode));
         };
         let Some(topology) = Topology::of(mode) else { return Ok(Err(SkipReason::NotTriangles(mode_name(mode)))) };
-        let attribute = |semantic| primitive.attributes.get(&Valid(semantic)).map(|index| same_as[index.value()]);
+        let attribute =
+            |semantic| primitive.attributes.get(&Valid(semantic)).map(|index| canonical_accessor[index.value()]);
         let Some(positions) = attribute(Semantic::Positions) else { return Ok(Err(SkipReason::NoPositions)) };
         if !all_accessors(primitive).all(|index| accessors.get(index).has_data()) {
             return Ok(Err(SkipReason::NoData));
         }
-        let recipe = Self {
+        let source = Self {
             topology,
-            indices: primitive.indices.map(|index| same_as[index.value()]),
+            indices: primitive.indices.map(|index| canonical_accessor[index.value()]),
             positions,
             normals: attribute(Semantic::Normals),
             tex_coords: [0, 1].map(|set| attribute(Semantic::TexCoords(set))),
             colors: attribute(Semantic::Colors(0)),
             pose: Pose::default(),
         };
-        recipe.check_formats(document, accessors)?;
-        recipe.check_counts(document, accessors, pointer)?;
-        Ok(if recipe.triangle_count(accessors) == 0 { Err(SkipReason::NoTriangles) } else { Ok(recipe) })
+        source.check_formats(document, accessors)?;
+        source.check_counts(document, accessors, pointer)?;
+        Ok(if source.triangle_count(accessors) == 0 { Err(SkipReason::NoTriangles) } else { Ok(source) })
     }
 
-    /// The same recipe with morph targets and skin applied.
+    /// The same source with morph targets and skin.
     pub(super) fn with_pose(self, pose: Pose) -> Self {
         Self { pose, ..self }
     }
 
-    /// How many triangles it makes.
+    /// The number of triangles.
     pub(super) fn triangle_count(&self, accessors: &Accessors) -> usize {
         self.topology.triangle_count(self.index_count(accessors))
     }
@@ -94,19 +95,19 @@ impl GeometrySource {
         self.positions
     }
 
-    /// The accessors that decide whether its indices are in range: two recipes with equal answers need one check.
+    /// The accessors that decide whether its indices are in range; equal values need only one check.
     pub(super) fn index_check_key(&self) -> Option<(usize, usize)> {
         self.indices.map(|indices| (indices, self.positions))
     }
 
-    /// Checks the indices alone, for a primitive that nothing shows. Costs the budget and memory for the indices.
+    /// Checks the indices alone, for a primitive that no node uses. Charges the budget for the indices.
     pub(super) fn check_indices(&self, document: &Document, accessors: &Accessors, budget: &mut Budget) -> Result<()> {
         let Some(indices) = self.indices else { return Ok(()) };
         budget.charge(accessors.get(indices).count, size_of::<u32>(), document, || format!("/accessors/{indices}"))?;
         self.read_indices(document, accessors).map(drop)
     }
 
-    /// Charges the budget for everything that [`build`](Self::build) allocates, as if it held all of it at once.
+    /// Charges the budget for everything that [`build`](Self::build) allocates, as if all of it were held at once.
     pub(super) fn charge(
         &self,
         document: &Document,
@@ -117,16 +118,17 @@ impl GeometrySource {
         let vertex_count = accessors.get(self.positions).count;
         let index_count = self.index_count(accessors);
         let triangle_size = 2 * size_of::<[u32; 3]>();
-        let object = || pointer.to_owned();
+        let at = || pointer.to_owned();
 
-        budget.charge(index_count, size_of::<u32>(), document, object)?;
-        budget.charge(self.triangle_count(accessors), triangle_size, document, object)?;
-        budget.charge(vertex_count.min(index_count), self.bytes_per_vertex(), document, object)?;
+        budget.charge(index_count, size_of::<u32>(), document, at)?;
+        budget.charge(self.triangle_count(accessors), triangle_size, document, at)?;
+        budget.charge(vertex_count.min(index_count), self.bytes_per_vertex(), document, at)?;
         // The bits and ranks of `compact_vertices`: 12 bytes for 64 vertices.
-        budget.charge(vertex_count / 4, 1, document, object)
+        budget.charge(vertex_count / 4, 1, document, at)
     }
 
-    /// What [`build`](Self::build) allocates for a used vertex, at most. Every stream is there twice: as read, and as kept.
+    /// Upper bound of the bytes that [`build`](Self::build) allocates for a used vertex. Every stream is held twice: as
+    /// read, and as kept.
     fn bytes_per_vertex(&self) -> usize {
         let selection = size_of::<u32>();
         let positions = 2 * size_of::<Vec3>();
@@ -137,20 +139,22 @@ impl GeometrySource {
         selection + positions + normals + tex_coords + colors + self.pose.bytes_per_vertex()
     }
 
-    /// Reads the accessors and makes the geometry. `palettes` are the joint matrices that the pose refers to. O(indices).
+    /// Reads the accessors and builds the geometry. `palettes` are the joint matrices that the pose refers to,
+    /// `pointer` is the primitive's, for messages. O(indices).
     pub(super) fn build(
         &self,
         document: &Document,
         accessors: &Accessors,
         palettes: &[Vec<DAffine3>],
+        pointer: &str,
     ) -> Result<Geometry> {
-        // 1. Which vertices are used.
+        // 1. Read the indices, and compact them to the vertices that are used.
         let mut indices = self.read_indices(document, accessors)?;
         let used = compact_vertices(&mut indices, accessors.get(self.positions).count);
         let selection = used.as_deref().map_or(Selection::All, Selection::Indices);
         let triangles = self.topology.triangles(&indices);
 
-        // 2. Their attributes.
+        // 2. Read the attributes of these vertices.
         let mut positions: Vec<Vec3> = accessors.get(self.positions).floats(document, selection)?;
         let mut normals = self.normals.map(|n| accessors.get(n).floats::<Vec3, 3>(document, selection)).transpose()?;
         let tex_coords = |set: usize| {
@@ -160,8 +164,12 @@ impl GeometrySource {
         let tex_coords = [tex_coords(0)?, tex_coords(1)?];
         let colors = self.colors.map(|index| read_colors(document, accessors, index, selection)).transpose()?;
 
-        // 3. The rest pose.
-        self.pose.apply(document, accessors, palettes, selection, &mut positions, normals.as_deref_mut())?;
+        // 3. Apply the rest pose, and normalize.
+        let is_finite =
+            self.pose.apply(document, accessors, palettes, selection, &mut positions, normals.as_deref_mut())?;
+        if !is_finite {
+            return Err(document.error_at(pointer, PrimitiveFault::PoseNotFinite));
+        }
         if let Some(normals) = &mut normals {
             normals::normalize(normals, &positions, &triangles);
         }
@@ -179,34 +187,36 @@ impl GeometrySource {
         accessors.get(self.indices.unwrap_or(self.positions)).count
     }
 
-    /// The vertices in their order, each in range.
+    /// The vertex indices, each checked to be in range.
     fn read_indices(&self, document: &Document, accessors: &Accessors) -> Result<Vec<u32>> {
         let vertex_count = accessors.get(self.positions).count;
         let Some(accessor) = self.indices else {
-            // check_counts has shown that this fits.
+            // `check_counts` has checked that this fits.
             return Ok((0..vertex_count as u32).collect());
         };
         let indices: Vec<[u32; 1]> = accessors.get(accessor).integers(document, Selection::All)?;
         let indices: Vec<u32> = bytemuck::cast_vec(indices);
         if let Some(i) = indices.iter().position(|&index| index as usize >= vertex_count) {
-            let cause = format!("index {i} is {}, but there are {vertex_count} vertices", indices[i]);
-            return Err(document.fault(format!("/accessors/{accessor}"), cause));
+            let fault = AccessorFault::VertexIndexOutOfRange { position: i, index: indices[i], vertex_count };
+            return Err(document.error_at(format!("/accessors/{accessor}"), fault));
         }
         let restart = accessors.get(accessor).largest_integer();
         if let Some(i) = indices.iter().position(|&index| Some(index) == restart) {
-            let cause =
-                format!("index {i} is {}, which restarts primitives in some renderers: glTF forbids it", indices[i]);
-            return Err(document.fault(format!("/accessors/{accessor}"), cause));
+            let fault = AccessorFault::PrimitiveRestart { position: i, index: indices[i] };
+            return Err(document.error_at(format!("/accessors/{accessor}"), fault));
         }
         Ok(indices)
     }
 
     fn check_formats(&self, document: &Document, accessors: &Accessors) -> Result<()> {
-        let require = |index: Option<usize>, role: &str, expected: &str, accepts: fn(Format) -> bool| match index {
-            None => Ok(()),
-            Some(index) => accessors.get(index).require_format(document, role, expected, accepts).map(drop),
-        };
-        // KHR_mesh_quantization allows integers for all but colours; they are accepted whether or not the file declares it.
+        let require =
+            |index: Option<usize>, role: &'static str, expected: &'static str, accepts: fn(Format) -> bool| match index
+            {
+                None => Ok(()),
+                Some(index) => accessors.get(index).require_format(document, role, expected, accepts).map(drop),
+            };
+        // KHR_mesh_quantization allows integers for all attributes but colours; they are accepted whether or not the
+        // file declares the extension.
         require(Some(self.positions), "POSITION", "VEC3 of floats, bytes or shorts", |f| {
             f.is_vector(3) && f.component != Component::U32
         })?;
@@ -231,8 +241,8 @@ impl GeometrySource {
             check_vertex_count(document, accessors, index, vertex_count, pointer)?;
         }
         if u32::try_from(vertex_count).is_err() || self.triangle_count(accessors) > Geometry::MAX_TRIANGLES {
-            let cause = format!("has more than {} triangles, or than 2^32 vertices", Geometry::MAX_TRIANGLES);
-            return Err(document.fault(pointer, cause));
+            let fault = PrimitiveFault::TooLarge { max_triangles: Geometry::MAX_TRIANGLES };
+            return Err(document.error_at(pointer, fault));
         }
         Ok(())
     }
@@ -256,11 +266,10 @@ pub(super) fn check_vertex_count(
     if count == vertex_count {
         return Ok(());
     }
-    Err(document
-        .fault(pointer, format!("accessor {index} has {count} elements, but there are {vertex_count} positions")))
+    Err(document.error_at(pointer, PrimitiveFault::AttributeCount { accessor: index, count, vertex_count }))
 }
 
-/// Linear RGBA, each in 0 to 1; opaque where the file has RGB.
+/// Linear RGBA, each component in 0 to 1; alpha is 1 if the file has RGB.
 fn read_colors(document: &Document, accessors: &Accessors, index: usize, selection: Selection) -> Result<Vec<Vec4>> {
     let elements = accessors.get(index);
     let format = elements.require_format(document, "COLOR_0", "VEC3 or VEC4", |f| f.is_vector(3) || f.is_vector(4))?;

@@ -1,4 +1,4 @@
-//! Adds a finished plan to a scene.
+//! Adds a complete plan to a scene.
 
 use std::collections::BTreeMap;
 
@@ -7,7 +7,7 @@ use super::{Document, ImportReport, ImportedNode};
 use crate::Result;
 use crate::graph::{Core, CoreKey, CoreSource, GeometryKey, MaterialKey, NodeKey, Scene, TextureKey, Transform};
 
-/// The assets that are in the scene so far, in the order of the plan.
+/// The assets that were added to the scene so far, in the order of the plan.
 #[derive(Default)]
 struct AddedAssets {
     textures: Vec<TextureKey>,
@@ -19,8 +19,8 @@ impl ImportPlan {
     /// Adds everything below `parent`. O(nodes + geometry, to check it).
     ///
     /// # Errors
-    /// [`Error::StaleKey`](crate::Error::StaleKey) for the parent; everything else was checked by the plan. Whatever the error, all that
-    /// was added is removed again.
+    /// [`Error::StaleKey`](crate::Error::StaleKey) for the parent; everything else was checked by the plan. Whatever
+    /// the error, everything that was added is removed again.
     pub(super) fn insert(mut self, document: &Document, scene: &mut Scene, parent: NodeKey) -> Result<ImportReport> {
         let root = scene.add(parent, Transform::IDENTITY)?;
         let mut added = AddedAssets::default();
@@ -28,7 +28,7 @@ impl ImportPlan {
             Ok(report) => Ok(report),
             Err(error) => {
                 scene.remove(root)?;
-                // The assets that no node of the import came to use.
+                // The assets that no node of the import uses yet.
                 scene.remove_unused_among(&added.geometries, &added.materials, &added.textures);
                 Err(error)
             }
@@ -42,10 +42,12 @@ impl ImportPlan {
         root: NodeKey,
         added: &mut AddedAssets,
     ) -> Result<ImportReport> {
+        // 1. The assets.
         scene.set_name(root, std::mem::take(&mut self.name))?;
         let mut report = self.empty_report(document, root);
         self.insert_assets(scene, added)?;
 
+        // 2. The nodes, parents first. The first node with a shared core adds it, the others refer to its key.
         let mut cores: Vec<Option<CoreKey>> = vec![None; self.cores.len()];
         let mut keys = Vec::with_capacity(self.nodes.len());
         for node in &self.nodes {
@@ -75,13 +77,13 @@ impl ImportPlan {
         Ok(report)
     }
 
-    /// Notes each asset as it is added, so that those are known if a later one fails.
+    /// Adds the assets, and records each key at once, so that a failed import can remove them.
     fn insert_assets(&mut self, scene: &mut Scene, added: &mut AddedAssets) -> Result<()> {
         for texture in self.textures.drain(..) {
             added.textures.push(scene.add_texture(texture)?);
         }
         for material in self.materials.drain(..) {
-            added.materials.push(scene.add_material(material.finish(&added.textures))?);
+            added.materials.push(scene.add_material(material.resolve_textures(&added.textures))?);
         }
         for geometry in self.geometries.drain(..) {
             added.geometries.push(scene.add_geometry(geometry)?);
@@ -103,7 +105,7 @@ impl ImportPlan {
             scenes: document.scenes.iter().map(|scene| scene.name.clone().unwrap_or_default()).collect(),
             scene: self.scene,
             counts,
-            warnings: std::mem::take(&mut self.notes.list),
+            warnings: std::mem::take(&mut self.warnings.list),
             names: BTreeMap::new(),
         }
     }
@@ -137,7 +139,7 @@ mod tests {
     use super::*;
     use crate::graph::{Camera, Geometry, Texture};
 
-    /// A step of the insertion, and what makes it fail.
+    /// A step of the insertion, and a change of the plan that makes it fail.
     type Break = (&'static str, fn(&mut ImportPlan));
 
     /// One triangle (of zeros) with a texture.
@@ -152,7 +154,7 @@ mod tests {
         Geometry::new(vec![corner, Vec3::X, Vec3::Y], vec![[0, 1, 2]])
     }
 
-    /// No file makes such plans, so they are broken here: each fails at another step.
+    /// No file makes such plans, so they are broken here: each fails at a different step.
     #[test]
     fn whatever_fails_nothing_stays_and_the_caller_s_unused_assets_do() {
         let document = Document::parse(JSON, Path::new("file.gltf")).unwrap();

@@ -7,30 +7,31 @@ use glam::Vec3;
 use json::extensions::scene::khr_lights_punctual::Type;
 use json::validation::Checked::{Invalid, Valid};
 
-use super::Document;
 use super::warnings::Warnings;
+use super::{Document, GltfFault, WarningKind};
 use crate::Result;
 use crate::graph::{Light, LightKind};
 
-/// The light with this index in the file; `None` if it is of a type that the extension does not know.
-pub(super) fn convert(document: &Document, index: usize, notes: &mut Warnings) -> Result<Option<Light>> {
+/// The light with this index in the file; `None` if it is of a type that the extension does not define.
+pub(super) fn convert(document: &Document, index: usize, warnings: &mut Warnings) -> Result<Option<Light>> {
     let light = &document.lights[index];
     let pointer = format!("/extensions/KHR_lights_punctual/lights/{index}");
     let kind = match light.type_ {
         Valid(Type::Directional) => LightKind::Directional,
         Valid(Type::Point) => LightKind::Point,
-        Valid(Type::Spot) => spot(document, light.spot.as_ref(), &pointer, notes)?,
+        Valid(Type::Spot) => spot(document, light.spot.as_ref(), &pointer, warnings)?,
         Invalid => {
-            notes.add(document, "light of unknown type", pointer, "left out");
+            warnings.add(document, WarningKind::Feature, "light of unknown type", pointer, "left out");
             return Ok(None);
         }
     };
-    let mut at_least_zero = |what: &str, value: f32| {
+    let mut at_least_zero = |what: &'static str, value: f32| {
         if !value.is_finite() {
-            return Err(document.fault(&*pointer, format!("{what} is beyond the range of numbers")));
+            return Err(document.error_at(&*pointer, GltfFault::NotFinite { what }));
         }
         if value < 0.0 {
-            notes.add(document, what, &*pointer, format!("is {value}, below zero: 0 is used"));
+            let fallback = format!("is {value}, below zero: 0 is used");
+            warnings.add(document, WarningKind::Value, what, &*pointer, fallback);
         }
         Ok(value.max(0.0))
     };
@@ -38,7 +39,7 @@ pub(super) fn convert(document: &Document, index: usize, notes: &mut Warnings) -
     let color = Vec3::new(at_least_zero("color", r)?, at_least_zero("color", g)?, at_least_zero("color", b)?);
     let intensity = at_least_zero("intensity", light.intensity)?;
     let range = match light.range {
-        // A directional light is everywhere; its range has no meaning.
+        // A directional light has no position, so its range has no meaning.
         Some(range) if kind != LightKind::Directional => match at_least_zero("range", range)? {
             0.0 => None,
             range => Some(range),
@@ -51,12 +52,8 @@ pub(super) fn convert(document: &Document, index: usize, notes: &mut Warnings) -
     } else {
         // Rounded down, so that the product is not rounded up to infinity.
         let largest = (f32::MAX / brightest).next_down();
-        notes.add(
-            document,
-            "intensity",
-            pointer,
-            format!("is {intensity:e}, times the colour beyond the range of numbers: {largest:e} is used"),
-        );
+        let fallback = format!("is {intensity:e}, and its product with the colour not finite: {largest:e} is used");
+        warnings.add(document, WarningKind::Value, "intensity", pointer, fallback);
         largest
     };
     Ok(Some(Light { kind, color, intensity, range }))
@@ -66,18 +63,22 @@ fn spot(
     document: &Document,
     spot: Option<&json::extensions::scene::khr_lights_punctual::Spot>,
     pointer: &str,
-    notes: &mut Warnings,
+    warnings: &mut Warnings,
 ) -> Result<LightKind> {
-    let Some(spot) = spot else { return Err(document.fault(pointer, "is a spot light without spot properties")) };
+    let Some(spot) = spot else { return Err(document.error_at(pointer, GltfFault::NoProperties)) };
     let (inner, outer) = (spot.inner_cone_angle, spot.outer_cone_angle);
-    if !(outer > 0.0 && outer.is_finite() && inner.is_finite()) {
-        return Err(document.fault(pointer, format!("outerConeAngle is {outer}, but must be above 0")));
+    if !inner.is_finite() {
+        return Err(document.error_at(pointer, GltfFault::NotFinite { what: "innerConeAngle" }));
+    }
+    if !(outer > 0.0 && outer.is_finite()) {
+        let (what, expected) = ("outerConeAngle", "finite and above 0");
+        return Err(document.error_at(pointer, GltfFault::OutOfRange { what, value: outer, expected }));
     }
     let outer_cone_angle = outer.min(FRAC_PI_2);
     let inner_cone_angle = inner.clamp(0.0, outer_cone_angle);
     if (inner_cone_angle, outer_cone_angle) != (inner, outer) {
-        let effect = format!("are {inner} and {outer}: {inner_cone_angle} and {outer_cone_angle} are used");
-        notes.add(document, "cone angles", pointer, effect);
+        let fallback = format!("are {inner} and {outer}: {inner_cone_angle} and {outer_cone_angle} are used");
+        warnings.add(document, WarningKind::Value, "cone angles", pointer, fallback);
     }
     Ok(LightKind::Spot { inner_cone_angle, outer_cone_angle })
 }

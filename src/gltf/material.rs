@@ -1,4 +1,4 @@
-//! Materials: glTF's numbers, each brought into its range, and references to textures.
+//! Conversion of materials: factors are clamped to their ranges, texture references resolved.
 
 use std::ops::RangeInclusive;
 
@@ -7,9 +7,9 @@ use glam::{Affine2, Mat2, Vec2, Vec3, Vec4};
 use json::texture::{MagFilter, WrappingMode};
 use json::validation::Checked::{Invalid, Valid};
 
-use super::Document;
 use super::texture::ImageRequests;
 use super::warnings::Warnings;
+use super::{Document, GltfFault, WarningKind};
 use crate::Result;
 use crate::graph::{AlphaMode, FilterMode, Material, Sampler, TextureKey, TextureRef, WrapMode};
 
@@ -24,7 +24,7 @@ pub(super) struct PlannedMaterial {
     normal: Option<PlannedTexture>,
 }
 
-/// A [`TextureRef`] by the index of its image among those that were asked for.
+/// A [`TextureRef`] by the index of its image among the requested ones.
 #[derive(Clone, Copy)]
 struct PlannedTexture {
     image: usize,
@@ -33,15 +33,15 @@ struct PlannedTexture {
     transform: Affine2,
 }
 
-/// Turns the materials of one document, and notes what is lost.
+/// Converts the materials of one document, and records warnings.
 pub(super) struct MaterialConverter<'a, 'd> {
     pub(super) document: &'d Document<'d>,
     pub(super) images: &'a mut ImageRequests<'d>,
-    pub(super) notes: &'a mut Warnings,
+    pub(super) warnings: &'a mut Warnings,
 }
 
 impl PlannedMaterial {
-    /// What glTF gives to a primitive without a material.
+    /// The material that glTF specifies for a primitive without one.
     pub(super) fn gltf_default() -> Self {
         let values = Material { metallic: 1.0, double_sided: false, ..Material::default() };
         Self { values, base_color: None, metallic_roughness: None, emissive: None, transmission: None, normal: None }
@@ -57,18 +57,18 @@ impl PlannedMaterial {
         self.normal.is_some()
     }
 
-    /// The material, now that its textures are in the scene: by the index of their image.
-    pub(super) fn finish(self, keys: &[TextureKey]) -> Material {
-        let finish = |texture: Option<PlannedTexture>| {
+    /// The material with the keys of its textures, which are in the scene by now: `keys` by the index of their image.
+    pub(super) fn resolve_textures(self, keys: &[TextureKey]) -> Material {
+        let resolve = |texture: Option<PlannedTexture>| {
             let PlannedTexture { image, sampler, tex_coord, transform } = texture?;
             Some(TextureRef { texture: keys[image], sampler, tex_coord, transform })
         };
         Material {
-            base_color_texture: finish(self.base_color),
-            metallic_roughness_texture: finish(self.metallic_roughness),
-            emissive_texture: finish(self.emissive),
-            transmission_texture: finish(self.transmission),
-            normal_texture: finish(self.normal),
+            base_color_texture: resolve(self.base_color),
+            metallic_roughness_texture: resolve(self.metallic_roughness),
+            emissive_texture: resolve(self.emissive),
+            transmission_texture: resolve(self.transmission),
+            normal_texture: resolve(self.normal),
             ..self.values
         }
     }
@@ -89,8 +89,9 @@ impl<'d> MaterialConverter<'_, 'd> {
         let material = &document.materials[index];
         let pbr = &material.pbr_metallic_roughness;
         let pointer = format!("/materials/{index}");
-        let mut number = |what: &str, value: f32, range| self.clamp_with_warning(&pointer, what, value, range);
+        let mut number = |what: &'static str, value: f32, range| self.clamp_with_warning(&pointer, what, value, range);
 
+        // 1. The factors.
         let mut base_color = Vec4::from(pbr.base_color_factor.0);
         for value in base_color.as_mut() {
             *value = number("baseColorFactor", *value, UNIT)?;
@@ -104,7 +105,7 @@ impl<'d> MaterialConverter<'_, 'd> {
         let strength = number("emissiveStrength", strength, POSITIVE)?;
         let transmission = extensions.and_then(|e| e.transmission.as_ref());
         let ior = match extensions.and_then(|e| e.ior.as_ref()).map_or(1.5, |i| i.ior.0) {
-            // Stands for "infinite".
+            // 0 means infinite (KHR_materials_ior).
             0.0 => 0.0,
             ior => number("ior", ior, 1.0..=f32::MAX)?,
         };
@@ -122,7 +123,7 @@ impl<'d> MaterialConverter<'_, 'd> {
                     let cutoff = material.alpha_cutoff.unwrap_or_default().0;
                     AlphaMode::Mask { cutoff: number("alphaCutoff", cutoff, POSITIVE)? }
                 }
-                Invalid => return Err(document.fault(format!("{pointer}/alphaMode"), "is no mode that glTF knows")),
+                Invalid => return Err(document.error_at(format!("{pointer}/alphaMode"), GltfFault::UnknownMode)),
             },
             double_sided: material.double_sided,
             unlit: extensions.is_some_and(|e| e.unlit.is_some()),
@@ -132,9 +133,10 @@ impl<'d> MaterialConverter<'_, 'd> {
             },
             ..Material::default()
         };
-        // The product of two large numbers may have no f32.
+        // The product of two large numbers may overflow.
         let values = Material { emissive: (emissive * strength).min(Vec3::MAX), ..values };
 
+        // 2. The textures.
         let mut texture = |info: Option<&json::texture::Info>| {
             let Some(info) = info else { return Ok(None) };
             self.texture(&pointer, info.index.value(), info.tex_coord, transform_of(info.extensions.as_ref()).as_ref())
@@ -147,8 +149,9 @@ impl<'d> MaterialConverter<'_, 'd> {
             normal: match &material.normal_texture {
                 None => None,
                 Some(info) => {
-                    let transform = normal_transform_of(info)
-                        .map_err(|e| document.fault(format!("{pointer}/normalTexture"), e.to_string()))?;
+                    let transform = normal_transform_of(info).map_err(|e| {
+                        document.error_at(format!("{pointer}/normalTexture"), GltfFault::Schema(e.to_string()))
+                    })?;
                     self.texture(&pointer, info.index.value(), info.tex_coord, transform.as_ref())?
                 }
             },
@@ -166,28 +169,35 @@ impl<'d> MaterialConverter<'_, 'd> {
         let tex_coord = transform.and_then(|t| t.tex_coord).unwrap_or(tex_coord);
         if tex_coord >= 2 {
             let feature = format!("texture coordinate set {tex_coord}");
-            self.notes.add(self.document, feature, pointer, "not supported: the texture is left out");
+            let fallback = "not supported: the texture is left out";
+            self.warnings.add(self.document, WarningKind::Feature, feature, pointer, fallback);
             return Ok(None);
         }
         let transform = transform.map_or(Affine2::IDENTITY, to_affine);
         if !transform.is_finite() {
-            return Err(self.document.fault(pointer, "a texture transform is not finite"));
+            return Err(self.document.error_at(pointer, GltfFault::NotFinite { what: "a texture transform" }));
         }
         let sampler = self.document.textures[texture].sampler.map(|s| &self.document.samplers[s.value()]);
-        let image = self.images.request(self.document, texture, self.notes);
+        let image = self.images.request(self.document, texture, self.warnings);
         let sampler = sampler.map_or_else(Sampler::default, to_sampler);
         Ok(Some(PlannedTexture { image, sampler, tex_coord, transform }))
     }
 
-    /// The nearest number in a range; a note where it is another one.
-    fn clamp_with_warning(&mut self, pointer: &str, what: &str, value: f32, range: RangeInclusive<f32>) -> Result<f32> {
+    /// Clamps a value to its range, and warns if that changes it.
+    fn clamp_with_warning(
+        &mut self,
+        pointer: &str,
+        what: &'static str,
+        value: f32,
+        range: RangeInclusive<f32>,
+    ) -> Result<f32> {
         if !value.is_finite() {
-            return Err(self.document.fault(pointer, format!("{what} is beyond the range of numbers")));
+            return Err(self.document.error_at(pointer, GltfFault::NotFinite { what }));
         }
         let clamped = value.clamp(*range.start(), *range.end());
         if clamped != value {
-            let effect = format!("is {value}, outside of its range: {clamped} is used");
-            self.notes.add(self.document, what, pointer, effect);
+            let fallback = format!("is {value}, outside of its range: {clamped} is used");
+            self.warnings.add(self.document, WarningKind::Value, what, pointer, fallback);
         }
         Ok(clamped)
     }
@@ -220,8 +230,9 @@ fn normal_transform_of(
     value.map(serde::Deserialize::deserialize).transpose()
 }
 
-/// `KHR_texture_transform`: scale, then rotate, then move. Positive rotations turn texture coordinates counter-clockwise as seen on the
-/// image, whose v axis points down (so, the extension's own example shows the lower left quadrant turned clockwise).
+/// `KHR_texture_transform`: scale, then rotate, then translate. Positive rotations turn texture coordinates
+/// counter-clockwise as seen on the image, whose v axis points down. (So the extension's own example shows the lower
+/// left quadrant turned clockwise.)
 fn to_affine(transform: &json::extensions::texture::TextureTransform) -> Affine2 {
     let (sin, cos) = transform.rotation.0.sin_cos();
     let rotation = Mat2::from_cols(Vec2::new(cos, -sin), Vec2::new(sin, cos));

@@ -1,21 +1,25 @@
 //! glTF 2.0 import: a file's scene as a subtree, with its hierarchy, names and sharing.
 //!
-//! - Each node of the file becomes one node with a [`Transform`](crate::graph::Transform) core. What hangs on it becomes child nodes: one for each
-//!   primitive of its mesh, one for its camera, one for its light.
-//! - A mesh that several nodes show is one core for each of its primitives, shared. Primitives that read the same data share one
-//!   geometry, whatever their materials. A node with `EXT_mesh_gpu_instancing` has one transform child for each instance.
-//! - Morph targets and skins are applied once, as the file's nodes stand. Animations are not played.
-//! - Extensions honoured: `EXT_mesh_gpu_instancing`, `KHR_lights_punctual`, `KHR_materials_emissive_strength`, `KHR_materials_ior`,
-//!   `KHR_materials_transmission`, `KHR_materials_unlit`, `KHR_mesh_quantization`, `KHR_node_visibility`, `KHR_texture_transform`.
-//!   A file that requires another one is refused. Everything else that is met and not honoured is listed in the [`ImportReport`].
+//! - Each node of the file becomes one node with a [`Transform`](crate::graph::Transform) core. Its mesh primitives,
+//!   its camera and its light become child nodes, one each.
+//! - A mesh that several nodes show is one core for each of its primitives, shared. Primitives that read the same data
+//!   share one geometry, whatever their materials. A node with `EXT_mesh_gpu_instancing` has one transform child for
+//!   each instance.
+//! - Morph targets (at their default weights) and skins (in the rest pose of their joints) are applied to the geometry
+//!   at import. Animations are not played.
+//! - Extensions supported: `EXT_mesh_gpu_instancing`, `KHR_lights_punctual`, `KHR_materials_emissive_strength`,
+//!   `KHR_materials_ior`, `KHR_materials_transmission`, `KHR_materials_unlit`, `KHR_mesh_quantization`,
+//!   `KHR_node_visibility`, `KHR_texture_transform`. A file that requires another one is refused. Other extensions and
+//!   features are ignored and listed in the [`ImportReport`].
 //!
 //! # Malformed and hostile files
 //!
-//! No file makes an import panic, hang, overflow the stack, or allocate more than its size justifies: for geometry and nodes 256 times the
-//! size, and 16 MiB; for images 64 times, and 256 MiB, and up to three times that while they are decoded; for the parsed JSON at worst
-//! some hundred times its text. Whatever breaks the tree, an index, a length or a number is an error that names the object by its JSON
-//! pointer. What does no harm is put right and reported: a factor of 1.2 becomes 1, an image that does not decode a
-//! magenta checkerboard. What is not guaranteed: that a file which imports is valid. Use the glTF validator for that.
+//! No file makes an import panic, hang, overflow the stack, or allocate more than its size justifies: for geometry and
+//! nodes 256 times the size, and 16 MiB; for images 64 times, and 256 MiB, and up to three times that while they are
+//! decoded; for the parsed JSON at worst some hundred times its text. A file whose node tree, indices, lengths or
+//! numbers are invalid is refused: the error names the object by its JSON pointer, and the cause as a [`GltfFault`].
+//! Harmless errors are corrected and reported: a factor of 1.2 becomes 1, an image that cannot be decoded a magenta
+//! checkerboard. What is not guaranteed: that a file which imports is valid. Use the glTF validator for that.
 
 mod accessor;
 mod budget;
@@ -23,6 +27,7 @@ mod buffers;
 mod camera;
 mod container;
 mod document;
+mod fault;
 mod format;
 mod geometry;
 mod insert;
@@ -44,7 +49,11 @@ mod warnings;
 
 use std::path::Path;
 
-pub use report::{ImportCounts, ImportReport, ImportWarning, ImportedNode};
+pub use fault::{
+    AccessorFault, BufferFault, ContainerFault, GltfFault, HierarchyFault, InstancingFault, PrimitiveFault, SkinFault,
+    TransformFault, UriFault,
+};
+pub use report::{ImportCounts, ImportReport, ImportWarning, ImportedNode, WarningKind};
 
 use accessor::Accessors;
 use budget::Budget;
@@ -59,10 +68,28 @@ use crate::graph::{NodeKey, Scene};
 use crate::{Error, Result};
 
 /// What to import.
+///
+/// ```
+/// use ropewalk::gltf::{ImportOptions, SceneSelector};
+///
+/// let options = ImportOptions::default().with_scene(SceneSelector::Index(1));
+/// assert_eq!(options.scene, Some(SceneSelector::Index(1)));
+/// ```
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct ImportOptions {
-    /// Which of the file's scenes. By default the file's default scene, or else its first; all nodes, if the file has no scene.
+    /// Which of the file's scenes. By default (`None`) the file's default scene, or else its first; all nodes, if the
+    /// file has no scene.
     pub scene: Option<SceneSelector>,
+}
+
+impl ImportOptions {
+    /// The same options for one of the file's scenes; for `None`, the default scene.
+    #[must_use]
+    pub fn with_scene(mut self, scene: impl Into<Option<SceneSelector>>) -> Self {
+        self.scene = scene.into();
+        self
+    }
 }
 
 /// One of a file's scenes.
@@ -76,13 +103,14 @@ pub enum SceneSelector {
 
 /// Imports the default scene of a `.gltf` or `.glb` file below `parent`. O(size of the file).
 ///
-/// The file and its images are read and decoded on all cores, everything is checked, and only then the scene is changed.
+/// The file and its images are read and decoded on all cores, everything is checked, and only then the scene is
+/// changed: a failed import leaves it as it was.
 ///
 /// # Errors
-/// The scene is as before.
 /// - [`Error::Io`]: the file cannot be read, or is not a regular file.
-/// - [`Error::Gltf`]: it is not glTF 2.0, breaks the specification, is damaged, or its external buffers cannot be read.
-/// - [`Error::UnsupportedExtension`]: it requires an extension that is not honoured, such as Draco compression.
+/// - [`Error::Gltf`]: it is not glTF 2.0, breaks the specification, is damaged, or its external buffers cannot be read;
+///   with the object and a [`GltfFault`].
+/// - [`Error::UnsupportedExtension`]: it requires an extension that is not supported, such as Draco compression.
 /// - [`Error::StaleKey`]: `parent` is not in the scene.
 ///
 /// ```
@@ -97,7 +125,7 @@ pub enum SceneSelector {
 /// let import = gltf::import(&path, &mut scene, root)?;
 /// let arm = import.node("arm").unwrap();
 /// assert_eq!(scene.world(arm)?.translation.to_array(), [1.0, 2.0, 3.0]);
-/// assert!(import.not_honoured.is_empty());
+/// assert!(import.warnings.is_empty());
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub fn import(path: impl AsRef<Path>, scene: &mut Scene, parent: NodeKey) -> Result<ImportReport> {
@@ -119,7 +147,8 @@ pub fn import_with(
     import_from_slice(&bytes, path, options, scene, parent)
 }
 
-/// As [`import_with`], from the bytes of a file. `path` is its name in messages, and where its external files are looked for; it is not read.
+/// As [`import_with`], from the bytes of a file. `path` is its name in messages, and its folder is where external files
+/// are looked for; it is not read itself.
 ///
 /// # Errors
 /// As [`import_with`].
@@ -137,11 +166,7 @@ pub fn import_from_slice(
     ImportPlan::new(&document, &buffers, options, bytes_read)?.insert(&document, scene, parent)
 }
 
-/// An error about an object of a file, by its JSON pointer; the empty pointer is the file itself.
-fn error_at(path: &Path, object: impl Into<String>, cause: impl Into<String>) -> Error {
-    let mut object = object.into();
-    if object.is_empty() {
-        object = "the file".into();
-    }
-    Error::Gltf { path: path.into(), object, cause: cause.into() }
+/// The error about the object of a file at a JSON pointer (RFC 6901); the empty pointer is the whole file.
+fn error_at(path: &Path, pointer: impl Into<String>, cause: impl Into<GltfFault>) -> Error {
+    Error::Gltf { path: path.into(), pointer: pointer.into(), cause: cause.into() }
 }

@@ -1,15 +1,15 @@
-//! The node hierarchy: a forest, or an error.
+//! The node hierarchy of a file, validated as a forest.
 
 use std::path::Path;
 
 use ::gltf::json;
 use glam::DAffine3;
 
-use super::error_at;
+use super::{HierarchyFault, error_at};
 use crate::Result;
 use crate::graph::Transform;
 
-/// Who is whose child; proven to be a forest.
+/// The parent of each node and a topological order; proven to be a forest.
 pub(super) struct NodeForest {
     /// The parent of each node.
     pub(super) parents: Vec<Option<usize>>,
@@ -18,40 +18,40 @@ pub(super) struct NodeForest {
 }
 
 impl NodeForest {
-    /// Checks that no node has two parents or is its own ancestor, and that scenes list root nodes, each once. O(nodes).
+    /// Checks that no node has two parents or is its own ancestor, and that scenes list root nodes, each once.
+    /// O(nodes).
     pub(super) fn new(nodes: &[json::Node], scenes: &[json::Scene], path: &Path) -> Result<Self> {
+        // 1. The parent of each node: at most one.
         let mut parents = vec![None; nodes.len()];
         for (parent, node) in nodes.iter().enumerate() {
             for (k, child) in children(node).enumerate() {
                 if let Some(other) = parents[child].replace(parent) {
-                    let cause = format!("node {child} already is a child of node {other}: a node has one parent");
+                    let cause = HierarchyFault::TwoParents { child, other };
                     return Err(error_at(path, format!("/nodes/{parent}/children/{k}"), cause));
                 }
             }
         }
 
+        // 2. A topological order. Since each node has one parent, those that no root reaches are on or below a cycle.
         let order = topological_order(nodes, &parents);
         if order.len() < nodes.len() {
-            // With one parent each, the nodes that no root reaches are on or below a cycle.
             let mut reached = vec![false; nodes.len()];
             order.iter().for_each(|&i| reached[i] = true);
-            let lost = reached.iter().position(|&r| !r).unwrap_or(0);
-            return Err(error_at(
-                path,
-                format!("/nodes/{lost}"),
-                "is its own ancestor, or below one: the nodes form a cycle",
-            ));
+            let unreached = reached.iter().position(|&r| !r).unwrap_or(0);
+            return Err(error_at(path, format!("/nodes/{unreached}"), HierarchyFault::Cycle));
         }
+
+        // 3. Scenes list roots.
         check_scenes(scenes, &parents, path)?;
         Ok(Self { parents, order })
     }
 
-    /// The nodes without a parent: what is shown of a file that has no scene.
+    /// The nodes without a parent, which are shown if the file has no scene.
     pub(super) fn roots(&self) -> Vec<usize> {
         (0..self.parents.len()).filter(|&i| self.parents[i].is_none()).collect()
     }
 
-    /// The matrix from each node's space to that of its root's parent: the scene. O(nodes).
+    /// The matrix from each node's space to the space of the scene. O(nodes).
     pub(super) fn scene_from_node(&self, transforms: &[Transform]) -> Vec<DAffine3> {
         let mut world = vec![DAffine3::IDENTITY; transforms.len()];
         for &i in &self.order {
@@ -81,13 +81,12 @@ fn check_scenes(scenes: &[json::Scene], parents: &[Option<usize>], path: &Path) 
     let mut last_scene = vec![None; parents.len()];
     for (s, scene) in scenes.iter().enumerate() {
         for (k, node) in scene.nodes.iter().map(json::Index::value).enumerate() {
-            let object = || format!("/scenes/{s}/nodes/{k}");
+            let pointer = || format!("/scenes/{s}/nodes/{k}");
             if let Some(parent) = parents[node] {
-                let cause = format!("node {node} is a child of node {parent}, so it cannot be a root too");
-                return Err(error_at(path, object(), cause));
+                return Err(error_at(path, pointer(), HierarchyFault::NotARoot { node, parent }));
             }
             if last_scene[node].replace(s) == Some(s) {
-                return Err(error_at(path, object(), format!("node {node} is listed twice")));
+                return Err(error_at(path, pointer(), HierarchyFault::ListedTwice { node }));
             }
         }
     }
@@ -97,6 +96,7 @@ fn check_scenes(scenes: &[json::Scene], parents: &[Option<usize>], path: &Path) 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Error;
     use glam::DVec3;
     use serde::Deserialize;
     use serde_json::json;
@@ -112,17 +112,21 @@ mod tests {
         let forest = json!([{"children": [2]}, {}, {"children": [3]}, {}]);
         assert_eq!(hierarchy(forest.clone(), json!([{"nodes": [0, 1]}, {"nodes": [1]}])).unwrap().roots(), [0, 1]);
 
-        for (nodes, scenes, cause) in [
-            (json!([{"children": [0]}]), json!([]), "cycle"),
-            (json!([{"children": [1]}, {"children": [2]}, {"children": [0]}]), json!([]), "cycle"),
-            (json!([{}, {"children": [2]}, {"children": [1]}]), json!([]), "cycle"),
-            (json!([{"children": [2]}, {"children": [2]}, {}]), json!([]), "one parent"),
-            (json!([{"children": [1, 1]}, {}]), json!([]), "one parent"),
-            (forest.clone(), json!([{"nodes": [0, 2]}]), "cannot be a root"),
-            (forest, json!([{"nodes": [1, 1]}]), "twice"),
+        for (nodes, scenes, fault) in [
+            (json!([{"children": [0]}]), json!([]), HierarchyFault::Cycle),
+            (json!([{"children": [1]}, {"children": [2]}, {"children": [0]}]), json!([]), HierarchyFault::Cycle),
+            (json!([{}, {"children": [2]}, {"children": [1]}]), json!([]), HierarchyFault::Cycle),
+            (
+                json!([{"children": [2]}, {"children": [2]}, {}]),
+                json!([]),
+                HierarchyFault::TwoParents { child: 2, other: 0 },
+            ),
+            (json!([{"children": [1, 1]}, {}]), json!([]), HierarchyFault::TwoParents { child: 1, other: 0 }),
+            (forest.clone(), json!([{"nodes": [0, 2]}]), HierarchyFault::NotARoot { node: 2, parent: 0 }),
+            (forest, json!([{"nodes": [1, 1]}]), HierarchyFault::ListedTwice { node: 1 }),
         ] {
-            let error = hierarchy(nodes, scenes).err().unwrap().to_string();
-            assert!(error.contains(cause), "{error}");
+            let Err(Error::Gltf { cause, .. }) = hierarchy(nodes, scenes) else { panic!("no error: {fault}") };
+            assert_eq!(cause, fault.into());
         }
     }
 

@@ -1,13 +1,14 @@
-//! Vertex normals as the renderer needs them: of length one, each.
+//! Normalization of vertex normals, with a fallback for those of length zero.
 
 use glam::{DVec3, Vec3};
 
-/// What [`normalize`] allocates for a normal, at most.
+/// Upper bound of the bytes that [`normalize`] allocates for a normal.
 pub(super) const BYTES_PER_NORMAL: usize = size_of::<DVec3>();
 
-/// Scales every normal to length one. Where a normal is zero (exporters write such at collapsed corners) it becomes the area-weighted mean of the
-/// adjacent triangles' normals, or +Z where these have no area either. O(vertices + triangles).
+/// Scales every normal to length one. A normal of length zero (exporters write such at collapsed corners) becomes the
+/// area-weighted mean of the adjacent triangles' normals, or +Z if these have no area either. O(vertices + triangles).
 pub(super) fn normalize(normals: &mut [Vec3], positions: &[Vec3], triangles: &[[u32; 3]]) {
+    // 1. Normalize, and mark the normals of length zero.
     let mut any_zero = false;
     for normal in normals.iter_mut() {
         *normal = try_unit_vector(normal.as_dvec3()).unwrap_or_else(|| {
@@ -18,6 +19,8 @@ pub(super) fn normalize(normals: &mut [Vec3], positions: &[Vec3], triangles: &[[
     if !any_zero {
         return;
     }
+
+    // 2. Sum the normals of the triangles at each vertex, weighted by area.
     let mut sums = vec![DVec3::ZERO; normals.len()];
     for triangle in triangles {
         let [a, b, c] = triangle.map(|vertex| positions[vertex as usize].as_dvec3());
@@ -25,12 +28,15 @@ pub(super) fn normalize(normals: &mut [Vec3], positions: &[Vec3], triangles: &[[
             sums[*vertex as usize] += (b - a).cross(c - a);
         }
     }
+
+    // 3. Replace the normals of length zero.
     for (normal, sum) in normals.iter_mut().zip(sums).filter(|(normal, _)| **normal == Vec3::ZERO) {
         *normal = try_unit_vector(sum).unwrap_or(Vec3::Z);
     }
 }
 
-/// The unit vector in a direction. In f64 the square of an f32's length neither overflows nor vanishes.
+/// The vector scaled to length 1; `None` for the zero vector. It is f64, in which the squared length of a vector of f32
+/// neither overflows nor underflows.
 pub(super) fn try_unit_vector(v: DVec3) -> Option<Vec3> {
     v.try_normalize().map(DVec3::as_vec3)
 }

@@ -1,4 +1,5 @@
-//! Everything an import will add to a scene, complete before the scene is touched: so an import that fails has changed nothing.
+//! Everything an import will add to a scene. The plan is complete before the scene is touched, so that a failed import
+//! changes nothing.
 
 use std::collections::HashMap;
 
@@ -11,15 +12,16 @@ use super::primitives::{PrimitiveRequests, PrimitiveUse};
 use super::texture::ImageRequests;
 use super::warnings::Warnings;
 use super::{
-    Accessors, Budget, Buffers, Document, ImportCounts, ImportOptions, SceneSelector, camera, instancing, light,
+    Accessors, Budget, Buffers, Document, GltfFault, ImportCounts, ImportOptions, SceneSelector, WarningKind, camera,
+    instancing, light,
 };
 use crate::Result;
 use crate::graph::{Camera, Geometry, Light, Texture, Transform};
 
-/// The memory that one node takes in the scene, roughly.
+/// The memory that one node takes in the scene, in bytes, roughly.
 const BYTES_PER_NODE: usize = 512;
 
-/// What an import will add, in the order of addition.
+/// What an import will add, in the order in which it is added.
 pub(super) struct ImportPlan {
     /// The name of the root node.
     pub(super) name: String,
@@ -32,7 +34,7 @@ pub(super) struct ImportPlan {
     pub(super) materials: Vec<PlannedMaterial>,
     pub(super) textures: Vec<Texture>,
     pub(super) counts: ImportCounts,
-    pub(super) notes: Warnings,
+    pub(super) warnings: Warnings,
 }
 
 /// A node to be added.
@@ -46,16 +48,16 @@ pub(super) struct PlannedNode {
     pub(super) file_node: Option<usize>,
 }
 
-/// What a node is.
+/// The core of a planned node.
 #[derive(Clone, Copy)]
 pub(super) enum NodeContent {
-    /// A transform of its own.
+    /// A transform, which no other node shares.
     Transform(Transform),
     /// One of [`ImportPlan::cores`], which other nodes may share.
     Core(usize),
 }
 
-/// A core that nodes share.
+/// A core that several nodes may share.
 #[derive(Clone, Copy)]
 pub(super) enum PlannedCore {
     /// Indices into [`ImportPlan::geometries`] and [`ImportPlan::materials`].
@@ -66,7 +68,7 @@ pub(super) enum PlannedCore {
     Light(Light, usize),
 }
 
-/// What makes two nodes share a core.
+/// The key by which nodes share a core.
 #[derive(PartialEq, Eq, Hash)]
 enum CoreIdentity {
     Primitive { mesh: usize, primitive: usize, geometry: usize },
@@ -82,11 +84,13 @@ impl ImportPlan {
         options: &ImportOptions,
         bytes_read: u64,
     ) -> Result<Self> {
+        // 1. Check accessors and primitives, whether or not they are imported.
         let mut budget = Budget::new(bytes_read);
-        let mut notes = Warnings::of(document);
+        let mut warnings = Warnings::of(document);
         let accessors = Accessors::new(document, buffers, &mut budget)?;
-        let primitives = PrimitiveRequests::new(document, buffers, &accessors, &mut notes)?;
+        let primitives = PrimitiveRequests::new(document, buffers, &accessors, &mut warnings)?;
 
+        // 2. Walk the nodes of the scene; this plans cores and materials, and requests geometries and images.
         let scene = choose_scene(document, options)?;
         let mut planner = Planner {
             document,
@@ -95,22 +99,23 @@ impl ImportPlan {
             images: ImageRequests::default(),
             scene_from_node: document.hierarchy.scene_from_node(&document.transforms),
             budget,
-            notes,
+            warnings,
             nodes: Vec::new(),
             cores: Vec::new(),
-            core_slots: HashMap::new(),
+            core_indices: HashMap::new(),
             materials: Vec::new(),
-            material_slots: HashMap::new(),
+            material_indices: HashMap::new(),
             mesh_triangles: HashMap::new(),
             counts: ImportCounts::default(),
         };
         planner.plan_nodes(scene)?;
 
+        // 3. Build the requested geometries and decode the requested images.
         let Planner {
             primitives,
             images,
             mut budget,
-            mut notes,
+            mut warnings,
             nodes,
             cores,
             materials,
@@ -119,29 +124,30 @@ impl ImportPlan {
             ..
         } = planner;
         let geometries = primitives.build(document, &accessors, &mut budget)?;
-        let textures = images.decode(document, buffers, bytes_read, &mut notes)?;
+        let textures = images.decode(document, buffers, bytes_read, &mut warnings)?;
+
+        // 4. Count, and name the root node.
         counts.mesh_triangles = mesh_triangles.values().sum();
         counts.geometry_triangles = geometries.iter().map(|g| g.indices.len() as u64).sum();
         let name = scene.and_then(|s| document.scenes[s].name.clone()).filter(|name| !name.is_empty());
         let name = name.or_else(|| Some(document.path.file_stem()?.to_string_lossy().into_owned())).unwrap_or_default();
-        Ok(Self { name, scene, nodes, cores, geometries, materials, textures, counts, notes })
+        Ok(Self { name, scene, nodes, cores, geometries, materials, textures, counts, warnings })
     }
 }
 
-/// The scene asked for, else the default scene, else the first; `None` if the file has none.
+/// The requested scene, else the default scene, else the first; `None` if the file has no scene.
 fn choose_scene(document: &Document, options: &ImportOptions) -> Result<Option<usize>> {
     let count = document.scenes.len();
     match &options.scene {
         Some(SceneSelector::Index(index)) if *index < count => Ok(Some(*index)),
         Some(SceneSelector::Index(index)) => {
-            Err(document.fault("/scenes", format!("there is no scene {index}: there are {count}")))
+            Err(document.error_at("/scenes", GltfFault::NoSceneIndex { index: *index, count }))
         }
         Some(SceneSelector::Name(name)) => {
             let found = document.scenes.iter().position(|scene| scene.name.as_ref() == Some(name));
-            let names = || document.scenes.iter().filter_map(|s| s.name.as_deref()).collect::<Vec<_>>().join(", ");
             let missing = || {
-                let known = format!("there are {count}, with the names: {}", names());
-                document.fault("/scenes", format!("there is no scene \"{name}\"; {known}"))
+                let known = document.scenes.iter().filter_map(|scene| scene.name.clone()).collect();
+                document.error_at("/scenes", GltfFault::NoSceneName { name: name.clone(), count, known })
             };
             found.map(Some).ok_or_else(missing)
         }
@@ -152,7 +158,7 @@ fn choose_scene(document: &Document, options: &ImportOptions) -> Result<Option<u
     }
 }
 
-/// The plan in the making.
+/// Builder of an import plan.
 struct Planner<'a, 'd> {
     document: &'d Document<'d>,
     accessors: &'a Accessors<'a>,
@@ -160,14 +166,15 @@ struct Planner<'a, 'd> {
     images: ImageRequests<'d>,
     scene_from_node: Vec<glam::DAffine3>,
     budget: Budget,
-    notes: Warnings,
+    warnings: Warnings,
     nodes: Vec<PlannedNode>,
     cores: Vec<PlannedCore>,
-    core_slots: HashMap<CoreIdentity, usize>,
+    /// The index of each shared core in `cores`.
+    core_indices: HashMap<CoreIdentity, usize>,
     materials: Vec<PlannedMaterial>,
-    /// By the material's index in the file; `None` is the default material.
-    material_slots: HashMap<Option<usize>, usize>,
-    /// Triangles of each mesh that is shown.
+    /// The index of each material in `materials`, by its index in the file; `None` is the default material.
+    material_indices: HashMap<Option<usize>, usize>,
+    /// The number of triangles of each mesh that a node uses.
     mesh_triangles: HashMap<usize, u64>,
     counts: ImportCounts,
 }
@@ -181,68 +188,69 @@ impl Planner<'_, '_> {
         };
         let mut pending: Vec<(usize, Option<usize>)> = roots.into_iter().rev().map(|node| (node, None)).collect();
         while let Some((node, parent)) = pending.pop() {
-            let place = self.plan_node(node, parent)?;
-            pending.extend(children(&self.document.nodes[node]).rev().map(|child| (child, Some(place))));
+            let planned_node = self.plan_node(node, parent)?;
+            pending.extend(children(&self.document.nodes[node]).rev().map(|child| (child, Some(planned_node))));
         }
         Ok(())
     }
 
-    /// Plans one node of the file and what hangs on it, but not its children.
+    /// Plans one node of the file with its mesh, camera and light, without its children; returns its index in `nodes`.
     fn plan_node(&mut self, node: usize, parent: Option<usize>) -> Result<usize> {
         let document = self.document;
         let source = &document.nodes[node];
         let transform = document.transforms[node];
         if !transform.to_affine().is_finite() {
-            return Err(document.fault(format!("/nodes/{node}"), "its transform is beyond the range of numbers"));
+            return Err(document.error_at(format!("/nodes/{node}"), GltfFault::NotFinite { what: "its transform" }));
         }
         let name = source.name.as_deref().unwrap_or_default();
-        let place = self.add_node(parent, name, NodeContent::Transform(transform))?;
-        self.nodes[place].file_node = Some(node);
-        self.nodes[place].visible = is_visible(document, node);
+        let planned_node = self.add_node(node, parent, name, NodeContent::Transform(transform))?;
+        self.nodes[planned_node].file_node = Some(node);
+        self.nodes[planned_node].visible = is_visible(document, node);
         self.counts.file_nodes += 1;
 
         if let Some(mesh) = source.mesh {
-            self.plan_mesh(node, mesh.value(), place)?;
+            self.plan_mesh(node, mesh.value(), planned_node)?;
         }
         if let Some(camera) = source.camera {
-            self.plan_camera(camera.value(), place)?;
+            self.plan_camera(node, camera.value(), planned_node)?;
         }
         if let Some(light) = source.extensions.as_ref().and_then(|e| e.khr_lights_punctual.as_ref()) {
-            self.plan_light(light.light.value(), place)?;
+            self.plan_light(node, light.light.value(), planned_node)?;
         }
-        Ok(place)
+        Ok(planned_node)
     }
 
     /// Plans the primitives of a node's mesh: once, or once for each instance.
-    fn plan_mesh(&mut self, node: usize, mesh: usize, place: usize) -> Result<()> {
+    fn plan_mesh(&mut self, node: usize, mesh: usize, planned_node: usize) -> Result<()> {
         let document = self.document;
-        let shown = self.primitives.request(
+        let uses = self.primitives.request(
             document,
             self.accessors,
             &mut self.budget,
             &self.scene_from_node,
             (node, mesh),
-            &mut self.notes,
+            &mut self.warnings,
         )?;
-        let cores = shown.iter().map(|shown| self.geometry_core(mesh, shown)).collect::<Result<Vec<_>>>()?;
-        let triangles: u64 = shown.iter().map(|shown| shown.triangle_count as u64).sum();
+        let cores =
+            uses.iter().map(|primitive_use| self.geometry_core(mesh, primitive_use)).collect::<Result<Vec<_>>>()?;
+        let triangles: u64 = uses.iter().map(|primitive_use| primitive_use.triangle_count as u64).sum();
         self.mesh_triangles.insert(mesh, triangles);
 
-        let instances = instancing::transforms(document, self.accessors, &mut self.budget, node, &mut self.notes)?;
+        let instances = instancing::transforms(document, self.accessors, &mut self.budget, node, &mut self.warnings)?;
         let name = document.meshes[mesh].name.as_deref().unwrap_or_default();
         match instances {
             None => {
                 self.counts.scene_triangles += triangles;
-                cores
-                    .into_iter()
-                    .try_for_each(|core| self.add_node(Some(place), name, NodeContent::Core(core)).map(drop))
+                cores.into_iter().try_for_each(|core| {
+                    self.add_node(node, Some(planned_node), name, NodeContent::Core(core)).map(drop)
+                })
             }
             Some(instances) => {
                 self.counts.scene_triangles += triangles * instances.len() as u64;
                 for transform in instances {
-                    let instance = self.add_node(Some(place), "", NodeContent::Transform(transform))?;
+                    let instance = self.add_node(node, Some(planned_node), "", NodeContent::Transform(transform))?;
                     for &core in &cores {
-                        self.add_node(Some(instance), name, NodeContent::Core(core))?;
+                        self.add_node(node, Some(instance), name, NodeContent::Core(core))?;
                     }
                 }
                 Ok(())
@@ -250,86 +258,90 @@ impl Planner<'_, '_> {
         }
     }
 
-    /// The core of a primitive: its geometry, and its material in the file.
-    fn geometry_core(&mut self, mesh: usize, shown: &PrimitiveUse) -> Result<usize> {
-        let &PrimitiveUse { geometry, primitive, .. } = shown;
+    /// Plans the core of a primitive, its geometry and material, once; returns its index in `cores`.
+    fn geometry_core(&mut self, mesh: usize, primitive_use: &PrimitiveUse) -> Result<usize> {
+        let &PrimitiveUse { geometry, primitive, .. } = primitive_use;
         let identity = CoreIdentity::Primitive { mesh, primitive, geometry };
-        if let Some(&core) = self.core_slots.get(&identity) {
+        if let Some(&core) = self.core_indices.get(&identity) {
             return Ok(core);
         }
         let source = &self.document.meshes[mesh].primitives[primitive];
         let material = self.material(source.material.as_ref().map(Index::value))?;
-        self.warn_of_missing_attributes(mesh, shown, material);
+        self.warn_of_missing_attributes(mesh, primitive_use, material);
         Ok(self.add_core(identity, PlannedCore::Geometry { geometry, material }))
     }
 
+    /// Plans a material of the file, or the default material, once; returns its index in `materials`.
     fn material(&mut self, index: Option<usize>) -> Result<usize> {
-        if let Some(&slot) = self.material_slots.get(&index) {
+        if let Some(&slot) = self.material_indices.get(&index) {
             return Ok(slot);
         }
         let material = match index {
             None => PlannedMaterial::gltf_default(),
             Some(index) => {
-                let (images, notes) = (&mut self.images, &mut self.notes);
-                MaterialConverter { document: self.document, images, notes }.convert(index)?
+                let (images, warnings) = (&mut self.images, &mut self.warnings);
+                MaterialConverter { document: self.document, images, warnings }.convert(index)?
             }
         };
         self.materials.push(material);
-        self.material_slots.insert(index, self.materials.len() - 1);
+        self.material_indices.insert(index, self.materials.len() - 1);
         Ok(self.materials.len() - 1)
     }
 
-    fn warn_of_missing_attributes(&mut self, mesh: usize, shown: &PrimitiveUse, material: usize) {
+    fn warn_of_missing_attributes(&mut self, mesh: usize, primitive_use: &PrimitiveUse, material: usize) {
         use ::gltf::json::{mesh::Semantic, validation::Checked::Valid};
 
         let material = &self.materials[material];
-        let pointer = format!("/meshes/{mesh}/primitives/{}", shown.primitive);
-        let attributes = &self.document.meshes[mesh].primitives[shown.primitive].attributes;
-        let missing = material.tex_coords_needed().iter().zip(shown.has_tex_coords).any(|(need, has)| *need && !has);
+        let pointer = format!("/meshes/{mesh}/primitives/{}", primitive_use.primitive);
+        let attributes = &self.document.meshes[mesh].primitives[primitive_use.primitive].attributes;
+        let missing =
+            material.tex_coords_needed().iter().zip(primitive_use.has_tex_coords).any(|(need, has)| *need && !has);
         if missing {
-            let effect = "its material's textures need them: the texel at (0, 0) is used";
-            self.notes.add(self.document, "missing texture coordinates", &*pointer, effect);
+            let fallback = "its material's textures need them: the texel at (0, 0) is used";
+            self.warnings.add(self.document, WarningKind::Data, "missing texture coordinates", &*pointer, fallback);
         }
         if material.has_normal_texture() && attributes.contains_key(&Valid(Semantic::Tangents)) {
-            let effect = "not used: tangents follow from the texture coordinates";
-            self.notes.add(self.document, "TANGENT", &*pointer, effect);
+            let fallback = "not used: tangents follow from the texture coordinates";
+            self.warnings.add(self.document, WarningKind::Feature, "TANGENT", &*pointer, fallback);
         }
     }
 
-    fn plan_camera(&mut self, camera: usize, place: usize) -> Result<()> {
+    fn plan_camera(&mut self, node: usize, camera: usize, planned_node: usize) -> Result<()> {
         let identity = CoreIdentity::Camera(camera);
-        let core = match self.core_slots.get(&identity) {
+        let core = match self.core_indices.get(&identity) {
             Some(&core) => core,
-            None => match camera::convert(self.document, camera, &mut self.notes)? {
+            None => match camera::convert(self.document, camera, &mut self.warnings)? {
                 None => return Ok(()),
                 Some(value) => self.add_core(identity, PlannedCore::Camera(value, camera)),
             },
         };
         let name = self.document.cameras[camera].name.as_deref().unwrap_or_default();
-        self.add_node(Some(place), name, NodeContent::Core(core)).map(drop)
+        self.add_node(node, Some(planned_node), name, NodeContent::Core(core)).map(drop)
     }
 
-    fn plan_light(&mut self, light: usize, place: usize) -> Result<()> {
+    fn plan_light(&mut self, node: usize, light: usize, planned_node: usize) -> Result<()> {
         let identity = CoreIdentity::Light(light);
-        let core = match self.core_slots.get(&identity) {
+        let core = match self.core_indices.get(&identity) {
             Some(&core) => core,
-            None => match light::convert(self.document, light, &mut self.notes)? {
+            None => match light::convert(self.document, light, &mut self.warnings)? {
                 None => return Ok(()),
                 Some(value) => self.add_core(identity, PlannedCore::Light(value, light)),
             },
         };
         let name = self.document.lights[light].name.as_deref().unwrap_or_default();
-        self.add_node(Some(place), name, NodeContent::Core(core)).map(drop)
+        self.add_node(node, Some(planned_node), name, NodeContent::Core(core)).map(drop)
     }
 
+    /// Adds a shared core to the plan; returns its index in `cores`.
     fn add_core(&mut self, identity: CoreIdentity, core: PlannedCore) -> usize {
         self.cores.push(core);
-        self.core_slots.insert(identity, self.cores.len() - 1);
+        self.core_indices.insert(identity, self.cores.len() - 1);
         self.cores.len() - 1
     }
 
-    fn add_node(&mut self, parent: Option<usize>, name: &str, content: NodeContent) -> Result<usize> {
-        self.budget.charge(1, BYTES_PER_NODE + name.len(), self.document, || "/nodes".into())?;
+    /// Adds a node to the plan, on behalf of a node of the file; returns its index in `nodes`.
+    fn add_node(&mut self, node: usize, parent: Option<usize>, name: &str, content: NodeContent) -> Result<usize> {
+        self.budget.charge(1, BYTES_PER_NODE + name.len(), self.document, || format!("/nodes/{node}"))?;
         self.nodes.push(PlannedNode { parent, name: name.into(), content, visible: true, file_node: None });
         Ok(self.nodes.len() - 1)
     }

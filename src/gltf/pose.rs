@@ -1,6 +1,7 @@
-//! The rest pose: morph targets at their default weights, and skins as their joints stand.
+//! The rest pose: morph targets at their default weights, and skins in the rest pose of their joints.
 //!
-//! Both are applied once, on import, in the order of the specification (3.7.2.2): first the morph targets, then the skin.
+//! Both are applied to the geometry at import, in the order of the specification (3.7.2.2): first the morph targets,
+//! then the skin.
 
 use ::gltf::json;
 use glam::{DAffine3, DMat3, Vec3, Vec4};
@@ -10,10 +11,10 @@ use json::validation::Checked::Valid;
 use super::accessor::Selection;
 use super::format::{Component, Format};
 use super::geometry::check_vertex_count;
-use super::{Accessors, Budget, Document, normals};
+use super::{AccessorFault, Accessors, Budget, Document, GltfFault, normals};
 use crate::Result;
 
-/// What is applied to a primitive's vertices, in terms of its accessors.
+/// The deformation of a primitive's vertices, by the accessors that determine it.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub(super) struct Pose {
     morphs: Vec<Morph>,
@@ -29,39 +30,44 @@ struct Morph {
     normals: Option<usize>,
 }
 
-/// How vertices hang on joints.
+/// Skinning data: joint and weight accessors.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 struct Skin {
-    /// Which of the import's palettes of joint matrices.
+    /// The index of the palette of joint matrices, among those of the import.
     palette: usize,
-    /// Sets of four joints and of their four weights.
+    /// Accessors of four joints and of their four weights, for each set.
     sets: Vec<(usize, usize)>,
 }
 
 impl Pose {
-    /// The pose of a primitive under weights and a palette of joint matrices. `same_as` names equal accessors, `vertex_count` is what their
-    /// lengths must be, and `pointer` is the primitive, for messages.
+    /// The pose of a primitive for morph target weights and the index of a palette of joint matrices.
+    /// `canonical_accessor` maps each accessor to the first equal one, `positions` is the accessor of the positions,
+    /// whose length the others must have, and `pointer` is the primitive's, for messages.
     pub(super) fn new(
         document: &Document,
         accessors: &Accessors,
-        same_as: &[usize],
+        canonical_accessor: &[usize],
         primitive: &json::mesh::Primitive,
         (weights, palette): (&[f32], Option<usize>),
         (positions, pointer): (usize, &str),
     ) -> Result<Self> {
+        // 1. The morph targets whose weights are not zero.
         let targets = primitive.targets.as_deref().unwrap_or_default();
-        let same = |index: Option<json::Index<json::Accessor>>| index.map(|index| same_as[index.value()]);
+        let canonical =
+            |index: Option<json::Index<json::Accessor>>| index.map(|index| canonical_accessor[index.value()]);
         if weights.iter().take(targets.len()).any(|weight| !weight.is_finite()) {
-            return Err(document.fault(pointer, "a weight of its morph targets is beyond the range of numbers"));
+            return Err(document.error_at(pointer, GltfFault::NotFinite { what: "a weight of its morph targets" }));
         }
         let morph = |(target, &weight): (&json::mesh::MorphTarget, &f32)| Morph {
             weight: weight.to_bits(),
-            positions: same(target.positions),
-            normals: same(target.normals),
+            positions: canonical(target.positions),
+            normals: canonical(target.normals),
         };
         let morphs = targets.iter().zip(weights).filter(|(_, weight)| **weight != 0.0).map(morph).collect();
 
-        let attribute = |semantic| primitive.attributes.get(&Valid(semantic)).map(|index| same_as[index.value()]);
+        // 2. The sets of joints and weights.
+        let attribute =
+            |semantic| primitive.attributes.get(&Valid(semantic)).map(|index| canonical_accessor[index.value()]);
         let set = |n| Some((attribute(Semantic::Joints(n))?, attribute(Semantic::Weights(n))?));
         let sets: Vec<_> = (0..).map_while(set).collect();
         let skin = palette.filter(|_| !sets.is_empty()).map(|palette| Skin { palette, sets });
@@ -71,18 +77,18 @@ impl Pose {
         Ok(pose)
     }
 
-    /// Whether it hangs on joints.
+    /// Whether it is skinned.
     pub(super) fn is_skinned(&self) -> bool {
         self.skin.is_some()
     }
 
-    /// What [`apply`](Self::apply) allocates for a vertex, at most.
+    /// Upper bound of the bytes that [`apply`](Self::apply) allocates for a vertex.
     pub(super) fn bytes_per_vertex(&self) -> usize {
         let sets = self.skin.as_ref().map_or(0, |skin| skin.sets.len());
         self.morphs.len() * 2 * size_of::<Vec3>() + sets * (size_of::<[u32; 4]>() + size_of::<Vec4>())
     }
 
-    /// Moves the selected vertices into the rest pose.
+    /// Moves the selected vertices into the rest pose; returns whether all positions are finite there.
     pub(super) fn apply(
         &self,
         document: &Document,
@@ -91,7 +97,7 @@ impl Pose {
         selection: Selection,
         positions: &mut [Vec3],
         mut normals: Option<&mut [Vec3]>,
-    ) -> Result<()> {
+    ) -> Result<bool> {
         for morph in &self.morphs {
             let weight = f32::from_bits(morph.weight);
             add_deltas(document, accessors, selection, morph.positions, weight, positions)?;
@@ -102,15 +108,12 @@ impl Pose {
         if let Some(skin) = &self.skin {
             skin.apply(document, accessors, &palettes[skin.palette], selection, positions, normals)?;
         }
-        if positions.iter().all(|p| p.is_finite()) {
-            return Ok(());
-        }
-        Err(document.fault("/meshes", "morph targets or joints move a vertex beyond the range of numbers"))
+        Ok(positions.iter().all(|p| p.is_finite()))
     }
 
     fn check(&self, document: &Document, accessors: &Accessors, positions: usize, pointer: &str) -> Result<()> {
         let vertex_count = accessors.get(positions).count;
-        let require = |index: usize, role: &str, expected: &str, accepts: fn(Format) -> bool| {
+        let require = |index: usize, role: &'static str, expected: &'static str, accepts: fn(Format) -> bool| {
             accessors.get(index).require_format(document, role, expected, accepts)?;
             check_vertex_count(document, accessors, index, vertex_count, pointer)
         };
@@ -139,11 +142,13 @@ impl Skin {
         positions: &mut [Vec3],
         mut normals: Option<&mut [Vec3]>,
     ) -> Result<()> {
+        // 1. Read the joints and weights of the selected vertices.
         let mut sets = Vec::new();
         for &(joints, weights) in &self.sets {
             let joints = read_joints(document, accessors, joints, palette.len(), selection)?;
             sets.push((joints, accessors.get(weights).floats::<Vec4, 4>(document, selection)?));
         }
+        // 2. Transform each vertex by its blended joint matrix, and its normal by the cofactor matrix.
         for (vertex, position) in positions.iter_mut().enumerate() {
             let influences = sets.iter().flat_map(|(joints, weights)| {
                 joints[vertex].iter().zip(weights[vertex].to_array()).map(|(&joint, w)| (&palette[joint as usize], w))
@@ -168,16 +173,16 @@ fn read_joints(
     selection: Selection,
 ) -> Result<Vec<[u32; 4]>> {
     let joints: Vec<[u32; 4]> = accessors.get(index).integers(document, selection)?;
-    match joints.iter().flatten().find(|&&joint| joint as usize >= joint_count) {
+    match joints.iter().flatten().copied().find(|&joint| joint as usize >= joint_count) {
         None => Ok(joints),
         Some(joint) => {
-            let cause = format!("refers to joint {joint}, but the skin has {joint_count}");
-            Err(document.fault(format!("/accessors/{index}"), cause))
+            let fault = AccessorFault::JointOutOfRange { joint, joint_count };
+            Err(document.error_at(format!("/accessors/{index}"), fault))
         }
     }
 }
 
-/// Checks that a JOINTS accessor stays below the number of joints, whether or not anything is skinned by it.
+/// Checks that a JOINTS accessor stays below the number of joints, whether or not a node uses it.
 pub(super) fn check_joints(
     document: &Document,
     accessors: &Accessors,
@@ -212,7 +217,8 @@ fn add_deltas(
     Ok(())
 }
 
-/// The mean of matrices by their weights, whatever the weights' sum; `None` if that is not above 0.
+/// The weighted average of joint matrices. The weights are normalized, and those that are not above 0 ignored; `None`
+/// if none is above 0.
 fn blend_joint_matrices<'a>(influences: impl Iterator<Item = (&'a DAffine3, f32)>) -> Option<DAffine3> {
     let (mut matrix, mut total) = (DAffine3::ZERO, 0.0);
     for (joint, weight) in influences.filter(|(_, weight)| *weight > 0.0) {
@@ -224,7 +230,8 @@ fn blend_joint_matrices<'a>(influences: impl Iterator<Item = (&'a DAffine3, f32)
     (total > 0.0).then(|| DAffine3 { matrix3: matrix.matrix3 * (1.0 / total), translation: matrix.translation / total })
 }
 
-/// The matrix that turns normals: the inverse transpose times the determinant, which exists for singular matrices too.
+/// The cofactor matrix, which transforms normals: the inverse transpose times the determinant, but defined for singular
+/// matrices too.
 fn cofactor(m: &DMat3) -> DMat3 {
     let (x, y, z) = (m.x_axis, m.y_axis, m.z_axis);
     DMat3::from_cols(y.cross(z), z.cross(x), x.cross(y))

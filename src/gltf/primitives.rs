@@ -1,4 +1,4 @@
-//! The mesh primitives of a document: checked, and turned into geometries that equal primitives share.
+//! The mesh primitives of a document: validated, and converted to geometries that equal primitives share.
 
 use std::collections::{HashMap, HashSet};
 
@@ -11,17 +11,19 @@ use rayon::prelude::*;
 use super::geometry::{GeometrySource, SkipReason};
 use super::pose::check_joints;
 use super::warnings::Warnings;
-use super::{Accessors, Budget, Buffers, Document, Pose, skin};
+use super::{Accessors, Budget, Buffers, Document, Pose, WarningKind, skin};
 use crate::Result;
 use crate::graph::Geometry;
 
-/// Every primitive of every mesh, and the geometries that were asked for.
+/// The geometry sources of all primitives, and the set of geometries that nodes request.
 pub(super) struct PrimitiveRequests {
-    /// For each mesh and primitive its recipe without pose; `None` if it is not drawn.
-    recipes: Vec<Vec<Option<GeometrySource>>>,
+    /// For each mesh and primitive its source without pose; `None` if it is not drawn.
+    sources: Vec<Vec<Option<GeometrySource>>>,
+    /// For each accessor the first equal one.
     canonical_accessor: Vec<usize>,
-    /// The geometries asked for, each once, and a primitive that has it.
+    /// The requested geometries, each once, with the JSON pointer of the first primitive that has it.
     requested: Vec<(GeometrySource, String)>,
+    /// The index of each source in `requested`.
     requested_index: HashMap<GeometrySource, usize>,
     /// Joint matrices of each skinned node.
     palettes: Vec<Vec<DAffine3>>,
@@ -40,34 +42,35 @@ pub(super) struct PrimitiveUse {
 }
 
 impl PrimitiveRequests {
-    /// Checks every primitive of the document, shown or not, but for the data of its accessors.
+    /// Validates every primitive, used or not, except for the accessor data.
     pub(super) fn new(
         document: &Document,
         buffers: &Buffers,
         accessors: &Accessors,
-        notes: &mut Warnings,
+        warnings: &mut Warnings,
     ) -> Result<Self> {
-        let same_as = accessors.canonical_indices(document, buffers);
-        let mut recipes = Vec::with_capacity(document.meshes.len());
+        let canonical_accessor = accessors.canonical_indices(document, buffers);
+        let mut sources = Vec::with_capacity(document.meshes.len());
         for (m, mesh) in document.meshes.iter().enumerate() {
-            let mut of_mesh = Vec::with_capacity(mesh.primitives.len());
+            let mut mesh_sources = Vec::with_capacity(mesh.primitives.len());
             for (p, primitive) in mesh.primitives.iter().enumerate() {
                 let pointer = pointer(m, p);
-                let recipe = GeometrySource::new(document, accessors, &same_as, primitive, &pointer)?;
-                of_mesh.push(recipe.map_err(|skip| note_skip(document, &skip, pointer, notes)).ok());
+                let source = GeometrySource::new(document, accessors, &canonical_accessor, primitive, &pointer)?;
+                mesh_sources.push(source.map_err(|reason| warn_of_skip(document, &reason, pointer, warnings)).ok());
             }
-            recipes.push(of_mesh);
+            sources.push(mesh_sources);
         }
         Ok(Self {
-            recipes,
-            canonical_accessor: same_as,
+            sources,
+            canonical_accessor,
             requested: Vec::new(),
             requested_index: HashMap::new(),
             palettes: Vec::new(),
         })
     }
 
-    /// Asks for the geometries of a node's mesh, in the node's rest pose. `scene_from_node` are the matrices of all nodes.
+    /// Requests the geometries of a node's mesh, in the node's rest pose. `scene_from_node` are the matrices of all
+    /// nodes.
     pub(super) fn request(
         &mut self,
         document: &Document,
@@ -75,12 +78,13 @@ impl PrimitiveRequests {
         budget: &mut Budget,
         scene_from_node: &[DAffine3],
         (node, mesh): (usize, usize),
-        notes: &mut Warnings,
+        warnings: &mut Warnings,
     ) -> Result<Vec<PrimitiveUse>> {
+        // 1. The joint matrices and the weights of the morph targets, which determine the pose.
         let palette = match document.nodes[node].skin {
             Some(skin) => {
                 let matrices =
-                    skin::palette(document, accessors, budget, scene_from_node, (node, skin.value()), notes)?;
+                    skin::palette(document, accessors, budget, scene_from_node, (node, skin.value()), warnings)?;
                 matrices.map(|matrices| {
                     self.palettes.push(matrices);
                     self.palettes.len() - 1
@@ -89,57 +93,63 @@ impl PrimitiveRequests {
             None => None,
         };
         let weights = weights(document, node, mesh);
-        let mut shown = Vec::new();
+
+        let mut uses = Vec::new();
         for (p, primitive) in document.meshes[mesh].primitives.iter().enumerate() {
-            // Also where nothing comes of it: nodes times primitives times targets is work, if not memory.
+            // Charge even if the primitive is skipped: this bounds the work, nodes x primitives x morph targets.
             let work = 1 + primitive.targets.as_ref().map_or(0, Vec::len);
             budget.charge(work, size_of::<PrimitiveUse>(), document, || pointer(mesh, p))?;
-            let Some(recipe) = self.recipes[mesh][p].clone() else { continue };
+
+            // 2. The source of the primitive's geometry in that pose.
+            let Some(source) = self.sources[mesh][p].clone() else { continue };
             let pointer = pointer(mesh, p);
-            let place = (recipe.positions(), &*pointer);
-            let pose = Pose::new(document, accessors, &self.canonical_accessor, primitive, (weights, palette), place)?;
+            let positions = (source.positions(), &*pointer);
+            let pose =
+                Pose::new(document, accessors, &self.canonical_accessor, primitive, (weights, palette), positions)?;
             if document.nodes[node].skin.is_some() && !pose.is_skinned() {
-                notes.add(
-                    document,
-                    "skin",
-                    format!("/nodes/{node}"),
-                    "not applied: the mesh does not hang on its joints",
-                );
+                let fallback = "not applied: the mesh has no JOINTS and WEIGHTS attributes";
+                warnings.add(document, WarningKind::Data, "skin", format!("/nodes/{node}"), fallback);
             }
-            let recipe = recipe.with_pose(pose);
-            let (triangle_count, has_tex_coords) = (recipe.triangle_count(accessors), recipe.has_tex_coords());
-            let geometry = match self.requested_index.get(&recipe) {
-                Some(&slot) => slot,
+            let source = source.with_pose(pose);
+
+            // 3. The geometry that was requested for an equal source, or a new one.
+            let (triangle_count, has_tex_coords) = (source.triangle_count(accessors), source.has_tex_coords());
+            let geometry = match self.requested_index.get(&source) {
+                Some(&index) => index,
                 None => {
-                    recipe.charge(document, accessors, budget, &pointer)?;
-                    self.requested_index.insert(recipe.clone(), self.requested.len());
-                    self.requested.push((recipe, pointer));
+                    source.charge(document, accessors, budget, &pointer)?;
+                    self.requested_index.insert(source.clone(), self.requested.len());
+                    self.requested.push((source, pointer));
                     self.requested.len() - 1
                 }
             };
-            shown.push(PrimitiveUse { geometry, primitive: p, triangle_count, has_tex_coords });
+            uses.push(PrimitiveUse { geometry, primitive: p, triangle_count, has_tex_coords });
         }
-        Ok(shown)
+        Ok(uses)
     }
 
-    /// Makes all geometries that were asked for, on all cores; checks the indices and joints of the others.
+    /// Builds all requested geometries, on all cores, and checks the indices and joints of the other primitives.
     pub(super) fn build(
         self,
         document: &Document,
         accessors: &Accessors,
         budget: &mut Budget,
     ) -> Result<Vec<Geometry>> {
-        let made: HashSet<_> = self.requested.iter().map(|(recipe, _)| recipe.index_check_key()).collect();
+        // 1. Check what no requested geometry reads.
+        let built: HashSet<_> = self.requested.iter().map(|(source, _)| source.index_check_key()).collect();
         let mut checked = HashSet::new();
-        for recipe in self.recipes.iter().flatten().flatten() {
-            let source = recipe.index_check_key();
-            if !made.contains(&source) && checked.insert(source) {
-                recipe.check_indices(document, accessors, budget)?;
+        for source in self.sources.iter().flatten().flatten() {
+            let key = source.index_check_key();
+            if !built.contains(&key) && checked.insert(key) {
+                source.check_indices(document, accessors, budget)?;
             }
         }
         check_all_joints(document, accessors, &self.canonical_accessor, budget)?;
 
-        self.requested.par_iter().map(|(recipe, _)| recipe.build(document, accessors, &self.palettes)).collect()
+        // 2. Build.
+        let build =
+            |(source, pointer): &(GeometrySource, String)| source.build(document, accessors, &self.palettes, pointer);
+        self.requested.par_iter().map(build).collect()
     }
 }
 
@@ -148,14 +158,16 @@ fn pointer(mesh: usize, primitive: usize) -> String {
     format!("/meshes/{mesh}/primitives/{primitive}")
 }
 
-fn note_skip(document: &Document, skip: &SkipReason, pointer: String, notes: &mut Warnings) {
-    let (feature, effect) = match skip {
-        SkipReason::NotTriangles(mode) => (*mode, "not drawn: only triangles are"),
-        SkipReason::NoPositions => ("primitive without positions", "not drawn"),
-        SkipReason::NoData => ("primitive without data", "not drawn: the file does not hold its data"),
-        SkipReason::NoTriangles => ("primitive without a whole triangle", "not drawn"),
+fn warn_of_skip(document: &Document, reason: &SkipReason, pointer: String, warnings: &mut Warnings) {
+    use WarningKind::{Data, Feature};
+
+    let (kind, feature, fallback) = match reason {
+        SkipReason::NotTriangles(mode) => (Feature, *mode, "not drawn: only triangles are"),
+        SkipReason::NoPositions => (Data, "primitive without positions", "not drawn"),
+        SkipReason::NoData => (Data, "primitive without data", "not drawn: the file does not hold its data"),
+        SkipReason::NoTriangles => (Data, "primitive without a whole triangle", "not drawn"),
     };
-    notes.add(document, feature, pointer, effect);
+    warnings.add(document, kind, feature, pointer, fallback);
 }
 
 /// The weights of the morph targets of a node's mesh.
@@ -164,15 +176,20 @@ fn weights<'d>(document: &'d Document, node: usize, mesh: usize) -> &'d [f32] {
     weights.map_or(&[], Vec::as_slice)
 }
 
-/// Checks the joints of every skinned node, shown or not, triangles or not.
-fn check_all_joints(document: &Document, accessors: &Accessors, same_as: &[usize], budget: &mut Budget) -> Result<()> {
+/// Checks the joint indices of every skinned node, whether or not it is imported or its primitives are triangles.
+fn check_all_joints(
+    document: &Document,
+    accessors: &Accessors,
+    canonical_accessor: &[usize],
+    budget: &mut Budget,
+) -> Result<()> {
     let skinned = |node: &json::Node| Some((node.mesh?.value(), document.skins[node.skin?.value()].joints.len()));
     let skinned: HashSet<(usize, usize)> = document.nodes.iter().filter_map(skinned).collect();
     let mut checked = HashSet::new();
     for (mesh, joint_count) in skinned {
         for primitive in &document.meshes[mesh].primitives {
             let joints = (0..).map_while(|set| primitive.attributes.get(&Valid(Semantic::Joints(set))));
-            for joints in joints.map(|index| same_as[index.value()]) {
+            for joints in joints.map(|index| canonical_accessor[index.value()]) {
                 if checked.insert((joints, joint_count)) {
                     check_joints(document, accessors, joints, joint_count, budget)?;
                 }

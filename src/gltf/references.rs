@@ -1,10 +1,10 @@
-//! Every index in a glTF document must name something: one table of where indices are and what they point into.
+//! Checks that every index in a glTF document is in range: one table of where indices are and what they point into.
 
 use std::path::Path;
 
 use serde_json::Value;
 
-use super::error_at;
+use super::{GltfFault, error_at};
 use crate::Result;
 
 /// Where indices are, as a JSON pointer in which `*` stands for every element or member, and the array they point into.
@@ -44,7 +44,8 @@ const REFERENCES: &[(&str, &str)] = &[
     ("textures/*/extensions/*/source", "images"),
 ];
 
-/// Where materials and their extensions, known or not, have members: those called "...Texture" refer to a texture by `index`.
+/// Where materials and their extensions, supported or not, have members: those called "...Texture" refer to a texture
+/// by `index`.
 const MATERIAL_MEMBERS: &[&str] =
     &["materials/*/*", "materials/*/pbrMetallicRoughness/*", "materials/*/extensions/*/*"];
 
@@ -56,6 +57,7 @@ pub(super) fn check(root: &Value, path: &Path) -> Result<()> {
     };
     let length_of = |array: &str| root.pointer(&format!("/{array}")).and_then(Value::as_array).map_or(0, Vec::len);
 
+    // 1. The references at fixed places.
     for (pattern, target) in REFERENCES {
         let length = length_of(target);
         visit_all(pattern, &mut |pointer, index| {
@@ -63,6 +65,7 @@ pub(super) fn check(root: &Value, path: &Path) -> Result<()> {
         })?;
     }
 
+    // 2. The textures of materials and of their extensions.
     let length = length_of("textures");
     for pattern in MATERIAL_MEMBERS {
         visit_all(pattern, &mut |pointer, member| match member.get("index") {
@@ -72,7 +75,7 @@ pub(super) fn check(root: &Value, path: &Path) -> Result<()> {
         })?;
     }
 
-    // An animation's channels point into its own samplers.
+    // 3. The channels of animations, which point into the samplers of the same animation.
     visit_all("animations/*", &mut |pointer, animation| {
         let length = animation.get("samplers").and_then(Value::as_array).map_or(0, Vec::len);
         visit(animation, &["channels", "*", "sampler"], &mut pointer.to_owned(), &mut |pointer, index| {
@@ -81,15 +84,16 @@ pub(super) fn check(root: &Value, path: &Path) -> Result<()> {
     })
 }
 
-fn check_range(index: &Value, length: usize, target: &str) -> Result<(), String> {
-    match index.as_u64() {
-        Some(i) if i < length as u64 => Ok(()),
-        Some(i) => Err(format!("is index {i}, but there are {length} {target}")),
-        None => Err(format!("is {index}, but must be an index into {target}")),
+fn check_range(value: &Value, count: usize, target: &'static str) -> Result<(), GltfFault> {
+    match value.as_u64() {
+        Some(index) if index < count as u64 => Ok(()),
+        Some(index) => Err(GltfFault::IndexOutOfRange { index, count, target }),
+        None => Err(GltfFault::NotAnIndex { found: value.to_string(), target }),
     }
 }
 
-/// Calls `found` with the pointer and the value of each match of a pattern. Recursion is as deep as the pattern is long.
+/// Calls `found` with the pointer and the value of each match of a pattern. Recursion is as deep as the pattern is
+/// long.
 fn visit(
     value: &Value,
     pattern: &[&str],
@@ -132,12 +136,12 @@ mod tests {
             value = if part == "*" { json!([value]) } else { json!({ part: value }) };
         }
         let mut document = value;
-        let mut place = &mut document;
+        let mut array = &mut document;
         for part in target.split('/') {
-            place = place.as_object_mut().unwrap().entry(part).or_insert(json!({}));
+            array = array.as_object_mut().unwrap().entry(part).or_insert(json!({}));
         }
-        if !place.is_array() {
-            *place = json!([{}]);
+        if !array.is_array() {
+            *array = json!([{}]);
         }
         document
     }
@@ -157,7 +161,10 @@ mod tests {
 
     #[test]
     fn textures_of_any_material_extension_are_checked() {
-        let document = |index: u32| json!({"textures": [{}], "materials": [{"extensions": {"X": {"glowTexture": {"index": index}}}, "emissiveTexture": {"index": 0}}]});
+        let document = |index: u32| {
+            let extensions = json!({"X": {"glowTexture": {"index": index}}});
+            json!({"textures": [{}], "materials": [{"extensions": extensions, "emissiveTexture": {"index": 0}}]})
+        };
         assert!(check(&document(0), Path::new("a.gltf")).is_ok());
         let error = check(&document(1), Path::new("a.gltf")).unwrap_err().to_string();
         assert!(error.contains("/materials/0/extensions/X/glowTexture/index"), "{error}");

@@ -1,4 +1,4 @@
-//! What an import has done, and what it could not do.
+//! The report of an import.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -7,10 +7,12 @@ use serde::Serialize;
 
 use crate::graph::NodeKey;
 
-/// What an import has added to a scene, and what in the file it could not honour.
+/// What an import has added to a scene, and what in the file is unsupported or only approximated.
 #[derive(Clone, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct ImportReport {
-    /// The one node above all that was imported, named after the glTF scene or, if that has no name, the file. Removing it undoes the import.
+    /// The root node of the import, named after the glTF scene or, if that has no name, the file. Removing it undoes
+    /// the import.
     pub root: NodeKey,
     /// For each node of the file its node in the scene; `None` for nodes outside of the imported glTF scene.
     pub nodes: Vec<Option<NodeKey>>,
@@ -24,7 +26,8 @@ pub struct ImportReport {
     pub scene: Option<usize>,
     /// How much was imported.
     pub counts: ImportCounts,
-    /// Every extension and feature that the file uses and the import did not honour, or not to the letter.
+    /// Extensions and features of the file that are unsupported or only approximated, and values and data that were
+    /// corrected or replaced.
     pub warnings: Vec<ImportWarning>,
     /// The first node of each name.
     pub(super) names: BTreeMap<String, NodeKey>,
@@ -49,10 +52,11 @@ impl ImportReport {
     }
 }
 
-/// A camera or a light in the scene.
+/// A node with a camera or a light.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[non_exhaustive]
 pub struct ImportedNode {
-    /// Its name in the file or, if it has none, that of the file's node that it is at.
+    /// The name of the camera or light in the file or, if it has none, of the file's node that refers to it.
     pub name: String,
     /// Its index in the file. Several nodes may share one camera or light.
     pub index: usize,
@@ -62,18 +66,19 @@ pub struct ImportedNode {
 
 /// How much an import has added.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[non_exhaustive]
 pub struct ImportCounts {
     /// Nodes of the file that are in the imported glTF scene.
     pub file_nodes: usize,
-    /// Nodes added, with the root and those for primitives, instances, cameras and lights.
+    /// Nodes added, including the root and those for primitives, instances, cameras and lights.
     pub nodes: usize,
     /// Geometries added. Primitives that read the same data share one.
     pub geometries: usize,
-    /// Triangles stored: those of each geometry once.
+    /// Triangles stored: those of each geometry, once.
     pub geometry_triangles: u64,
-    /// Triangles of each mesh that is shown, once.
+    /// Triangles of each mesh that a node uses, once.
     pub mesh_triangles: u64,
-    /// Triangles shown: those of each mesh as often as it is shown.
+    /// Triangles shown: those of each mesh, once for each node or instance that uses it.
     pub scene_triangles: u64,
     /// Materials added.
     pub materials: usize,
@@ -81,10 +86,15 @@ pub struct ImportCounts {
     pub textures: usize,
 }
 
-/// Something in a file that an import did not honour, or not to the letter.
+/// Something in a file that is unsupported, only approximated, corrected or replaced.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[non_exhaustive]
 pub struct ImportWarning {
-    /// The extension or feature: "`KHR_materials_clearcoat`", "animation".
+    /// What kind of thing it is, for filters.
+    pub kind: WarningKind,
+    /// The extension, feature, value or data: "`KHR_materials_clearcoat`", "animation", "metallicFactor". It is text,
+    /// since it often comes from the file; for [`WarningKind::Extension`] it is exactly the extension's name (at most
+    /// 80 characters of it).
     pub feature: String,
     /// The JSON pointer of the object that has it: "/materials/3".
     pub pointer: String,
@@ -92,6 +102,20 @@ pub struct ImportWarning {
     pub name: String,
     /// What was done instead, in words.
     pub fallback: String,
+}
+
+/// What an [`ImportWarning`] is about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
+#[non_exhaustive]
+pub enum WarningKind {
+    /// An extension that is not supported, and was ignored.
+    Extension,
+    /// A feature of glTF, or of a supported extension, that is not supported or only approximated.
+    Feature,
+    /// A value outside of its range, or one that cannot be used; it was corrected.
+    Value,
+    /// Data that the file lacks or that cannot be read; it was left out or replaced.
+    Data,
 }
 
 impl fmt::Display for ImportWarning {

@@ -1,41 +1,48 @@
-//! Joint matrices of a skin as its joints stand in the file.
+//! The joint matrices of a skin, for the rest pose of its joints.
 
 use glam::{DAffine3, DMat4};
 
 use super::accessor::Selection;
 use super::format::{Component, Shape};
 use super::warnings::Warnings;
-use super::{Accessors, Budget, Document};
+use super::{Accessors, Budget, Document, SkinFault, WarningKind};
 use crate::Result;
 
 /// For each joint the matrix from the mesh's bind pose to the space of the skinned node.
 ///
-/// By the specification the transform of a skinned node does not move its mesh: joints place it in the scene. Our mesh is a child of the node all the
-/// same, so the node's own transform is taken out of the matrices. `None` (and a note) where it has no inverse.
+/// By the specification the transform of a skinned node is ignored: its joints define the position. Here the mesh is a
+/// child of that node, so the node's transform is divided out of the joint matrices. `None`, with a warning, if that
+/// transform is singular or the file does not hold the inverse bind matrices.
 pub(super) fn palette(
     document: &Document,
     accessors: &Accessors,
     budget: &mut Budget,
     scene_from_node: &[DAffine3],
     (node, skin): (usize, usize),
-    notes: &mut Warnings,
+    warnings: &mut Warnings,
 ) -> Result<Option<Vec<DAffine3>>> {
     let joints = &document.skins[skin].joints;
     let pointer = || format!("/skins/{skin}");
     budget.charge(joints.len(), size_of::<DAffine3>() + size_of::<[f32; 16]>(), document, pointer)?;
 
+    // 1. The inverse of the node's own transform.
     let node_from_scene = scene_from_node[node].inverse();
     if !node_from_scene.is_finite() {
-        let effect = "not applied: the node's own transform is singular, and its mesh cannot be seen";
-        notes.add(document, "skin", format!("/nodes/{node}"), effect);
+        let fallback = "not applied: the node's own transform is singular, and its mesh cannot be seen";
+        warnings.add(document, WarningKind::Value, "skin", format!("/nodes/{node}"), fallback);
         return Ok(None);
     }
+
+    // 2. The inverse bind matrices.
     let bind = document.skins[skin].inverse_bind_matrices;
     if bind.is_some_and(|index| !accessors.get(index.value()).has_data()) {
-        notes.add(document, "skin", pointer(), "not applied: the file does not hold its inverse bind matrices");
+        let fallback = "not applied: the file does not hold its inverse bind matrices";
+        warnings.add(document, WarningKind::Data, "skin", pointer(), fallback);
         return Ok(None);
     }
     let inverse_bind = inverse_bind_matrices(document, accessors, skin)?;
+
+    // 3. Their products: bind pose to joint, joint to scene, scene to node.
     let matrix = |(i, joint): (usize, &::gltf::json::Index<::gltf::json::Node>)| {
         let inverse_bind = inverse_bind.as_ref().map_or(DAffine3::IDENTITY, |matrices| matrices[i]);
         node_from_scene * scene_from_node[joint.value()] * inverse_bind
@@ -43,7 +50,7 @@ pub(super) fn palette(
     Ok(Some(joints.iter().enumerate().map(matrix).collect()))
 }
 
-/// One matrix for each joint; `None` if the skin has none, and all are the identity.
+/// One matrix for each joint; `None` if the skin has none, which stands for identity matrices.
 fn inverse_bind_matrices(document: &Document, accessors: &Accessors, skin: usize) -> Result<Option<Vec<DAffine3>>> {
     let skin_object = &document.skins[skin];
     let Some(index) = skin_object.inverse_bind_matrices else { return Ok(None) };
@@ -53,8 +60,8 @@ fn inverse_bind_matrices(document: &Document, accessors: &Accessors, skin: usize
     })?;
     let joint_count = skin_object.joints.len();
     if elements.count < joint_count {
-        let cause = format!("has {joint_count} joints, but only {} inverse bind matrices", elements.count);
-        return Err(document.fault(format!("/skins/{skin}"), cause));
+        let fault = SkinFault::TooFewMatrices { joints: joint_count, matrices: elements.count };
+        return Err(document.error_at(format!("/skins/{skin}"), fault));
     }
     let first: Vec<u32> = (0..joint_count as u32).collect();
     let matrices: Vec<[f32; 16]> = elements.floats(document, Selection::Indices(&first))?;

@@ -1,4 +1,5 @@
-//! Images: embedded, in data URIs, or in files; PNG or JPEG. One that cannot be had is replaced by a checkerboard.
+//! Images: embedded, in data URIs, or in files; PNG or JPEG. An image that cannot be decoded is replaced by a
+//! checkerboard.
 
 use std::borrow::Cow;
 use std::collections::HashMap;
@@ -9,93 +10,131 @@ use rayon::prelude::*;
 
 use super::uri::{self, UriTarget};
 use super::warnings::Warnings;
-use super::{Buffers, Document};
+use super::{Buffers, Document, UriFault, WarningKind};
 use crate::Result;
 use crate::graph::Texture;
 
-/// The largest width and height that are decoded.
+/// The largest width and height that are decoded, in texels.
 const MAX_SIDE: u32 = 1 << 14;
-/// Bytes of texels, as they are kept, that are allowed to any file, and for each byte of it: an 8192 x 8192 image of one colour takes a few hundred kB.
+/// Texel memory allowed for any file, in bytes, as RGBA8.
 const BASE_TEXEL_BYTES: u64 = 256 << 20;
+/// Additional texel memory for each byte read: PNG compresses an 8192 x 8192 image of one colour to a few hundred kB.
 const MAX_TEXEL_EXPANSION: u64 = 64;
-/// Bytes that an image's metadata may unpack to: a colour profile has some kB, seldom a few MB.
+/// Memory that the decoder may take for metadata, in bytes: a colour profile has some kB, seldom a few MB.
 const METADATA_BYTES: u64 = 16 << 20;
-/// The largest image file that is read.
+/// The largest image file that is read, in bytes.
 const MAX_FILE_BYTES: u64 = 1 << 30;
 
-/// The images that the imported materials use, each once.
+/// The images that the imported materials use, each once, in the order of their requests.
 #[derive(Default)]
 pub(super) struct ImageRequests<'d> {
-    /// Index of the image in the file, and of its texture in what [`decode`](Self::decode) returns.
-    wanted: Vec<Option<usize>>,
-    slots: HashMap<ImageSource<'d>, usize>,
+    /// The index in the file of each requested image; `None` for a texture without image. [`decode`](Self::decode)
+    /// returns their textures in this order.
+    requested: Vec<Option<usize>>,
+    /// The index of each source in `requested`.
+    requested_index: HashMap<ImageSource<'d>, usize>,
 }
 
-/// Where an image is: images with equal sources are one texture.
+/// Source of an image; equal sources share one texture.
 #[derive(PartialEq, Eq, Hash)]
 enum ImageSource<'d> {
+    /// A buffer view.
     View(usize),
-    Location(UriTarget<'d>),
-    UnresolvedUri(usize),
+    /// A data URI or a file.
+    Uri(UriTarget<'d>),
+    /// The image of this index in the file, which has no URI that can be resolved.
+    Unresolved(usize),
+    /// The texture has no image.
     NoImage,
 }
 
+/// Why an image is replaced by the checkerboard. The text continues a warning about the image.
+#[derive(Clone, Debug, thiserror::Error)]
+enum ImageFault {
+    #[error("has no image that can be read")]
+    NoImage,
+    #[error("has neither a bufferView nor a URI")]
+    NoSource,
+    #[error("its buffer has no data")]
+    NoData,
+    #[error(transparent)]
+    Uri(#[from] UriFault),
+    #[error("is neither PNG nor JPEG")]
+    UnknownFormat,
+    /// With the decoder's message.
+    #[error("{0}")]
+    Decoder(String),
+    #[error("is {width} x {height} texels, more than {MAX_SIDE} on a side")]
+    TooLarge { width: u32, height: u32 },
+    #[error("is {width} x {height} texels, with the others out of proportion to the file's size")]
+    Budget { width: u32, height: u32 },
+}
+
+impl ImageFault {
+    /// What is done instead, in words.
+    fn fallback_text(&self) -> String {
+        format!("{self}; a magenta checkerboard is shown instead")
+    }
+}
+
+impl From<::image::ImageError> for ImageFault {
+    fn from(error: ::image::ImageError) -> Self {
+        Self::Decoder(error.to_string())
+    }
+}
+
 impl<'d> ImageRequests<'d> {
-    /// Asks for the image of a glTF texture; returns the index its texture will have.
-    pub(super) fn request(&mut self, document: &'d Document, texture: usize, notes: &mut Warnings) -> usize {
+    /// Requests the image of a glTF texture; returns the index that its texture will have.
+    pub(super) fn request(&mut self, document: &'d Document, texture: usize, warnings: &mut Warnings) -> usize {
         let image = document.textures[texture].source.value();
         let image = (image < document.images.len()).then_some(image);
         let source = match image {
             None => {
-                notes.add(
-                    document,
-                    "texture",
-                    format!("/textures/{texture}"),
-                    instead("has no image that can be read"),
-                );
+                let pointer = format!("/textures/{texture}");
+                warnings.add(document, WarningKind::Data, "texture", pointer, ImageFault::NoImage.fallback_text());
                 ImageSource::NoImage
             }
             Some(i) => source_of(document, i),
         };
-        *self.slots.entry(source).or_insert_with(|| {
-            self.wanted.push(image);
-            self.wanted.len() - 1
+        *self.requested_index.entry(source).or_insert_with(|| {
+            self.requested.push(image);
+            self.requested.len() - 1
         })
     }
 
-    /// Reads and decodes all images that were asked for, on all cores. `bytes_read` is the size of the file and its buffers.
+    /// Reads all requested images, and decodes them on all cores. `bytes_read` is the size of the file and its buffers.
     pub(super) fn decode(
         self,
         document: &Document,
         buffers: &Buffers,
         bytes_read: u64,
-        notes: &mut Warnings,
+        warnings: &mut Warnings,
     ) -> Result<Vec<Texture>> {
-        // 1. The encoded bytes. An embedded image outside of its buffer is an error; a file that is missing is not.
-        let mut encoded = Vec::with_capacity(self.wanted.len());
-        for image in &self.wanted {
+        // 1. Read the encoded bytes. An embedded image outside of its buffer is an error; a missing file is not.
+        let mut encoded = Vec::with_capacity(self.requested.len());
+        for image in &self.requested {
             encoded.push(image.map(|image| read(document, buffers, image)).transpose()?);
         }
 
-        // 2. Their sizes, against the budget: a few kB can claim to be an image of gigabytes.
+        // 2. Charge the decoded sizes to the budget: an image of a few kB can claim to decode to gigabytes.
         let external: usize = encoded.iter().flatten().flatten().map(|bytes| bytes.len()).sum();
         let mut budget = BASE_TEXEL_BYTES + MAX_TEXEL_EXPANSION.saturating_mul(bytes_read + external as u64);
         for bytes in encoded.iter_mut().flatten() {
-            if let Err(cause) = bytes.as_deref().map_err(Clone::clone).and_then(|b| charge_texels(b, &mut budget)) {
-                *bytes = Err(cause);
+            if let Err(fault) = bytes.as_deref().map_err(Clone::clone).and_then(|b| charge_texels(b, &mut budget)) {
+                *bytes = Err(fault);
             }
         }
 
-        // 3. The texels.
+        // 3. Decode.
         let decoded: Vec<_> = encoded.into_par_iter().map(|bytes| bytes.map(|bytes| decode(&bytes?))).collect();
         let mut textures = Vec::with_capacity(decoded.len());
-        for (image, decoded) in self.wanted.iter().zip(decoded) {
+        for (image, decoded) in self.requested.iter().zip(decoded) {
             textures.push(match decoded {
                 None => checkerboard(),
                 Some(Ok(texture)) => texture,
-                Some(Err(cause)) => {
-                    let object = format!("/images/{}", image.unwrap_or_default());
-                    notes.add(document, "image", object, instead(&cause));
+                Some(Err(fault)) => {
+                    let pointer = format!("/images/{}", image.unwrap_or_default());
+                    warnings.add(document, WarningKind::Data, "image", pointer, fault.fallback_text());
                     checkerboard()
                 }
             });
@@ -104,61 +143,56 @@ impl<'d> ImageRequests<'d> {
     }
 }
 
-fn instead(cause: &str) -> String {
-    format!("{cause}; a magenta checkerboard is shown instead")
-}
-
 fn source_of<'d>(document: &'d Document, image: usize) -> ImageSource<'d> {
     let object = &document.images[image];
     match (object.buffer_view, &object.uri) {
         (Some(view), _) => ImageSource::View(view.value()),
-        (None, Some(uri)) => {
-            uri::resolve(uri, document.path).map_or(ImageSource::UnresolvedUri(image), ImageSource::Location)
-        }
-        (None, None) => ImageSource::UnresolvedUri(image),
+        (None, Some(uri)) => uri::resolve(uri, document.path).map_or(ImageSource::Unresolved(image), ImageSource::Uri),
+        (None, None) => ImageSource::Unresolved(image),
     }
 }
 
-/// An image's file; the inner error says why there is none.
-fn read<'b>(document: &Document, buffers: &'b Buffers, image: usize) -> Result<Result<Cow<'b, [u8]>, String>> {
+/// The encoded bytes of an image. The inner error is one that a checkerboard stands in for.
+fn read<'b>(document: &Document, buffers: &'b Buffers, image: usize) -> Result<Result<Cow<'b, [u8]>, ImageFault>> {
     let image = &document.images[image];
     Ok(match (image.buffer_view, &image.uri) {
-        (Some(view), _) if !buffers.has_data(document, view.value()) => Err("its buffer has no data".into()),
+        (Some(view), _) if !buffers.has_data(document, view.value()) => Err(ImageFault::NoData),
         (Some(view), _) => Ok(Cow::Borrowed(buffers.view(document, view.value())?)),
         (None, Some(uri)) => {
-            uri::resolve(uri, document.path).and_then(|location| location.read(MAX_FILE_BYTES)).map(Cow::Owned)
+            let bytes = uri::resolve(uri, document.path).and_then(|target| target.read(MAX_FILE_BYTES));
+            bytes.map(Cow::Owned).map_err(ImageFault::Uri)
         }
-        (None, None) => Err("has neither a bufferView nor a URI".into()),
+        (None, None) => Err(ImageFault::NoSource),
     })
 }
 
-fn charge_texels(bytes: &[u8], budget: &mut u64) -> Result<(), String> {
-    let (width, height) = reader(bytes, METADATA_BYTES)?.into_dimensions().map_err(|e| e.to_string())?;
+/// Takes the texels of an image from the budget, in bytes, by the size in its header.
+fn charge_texels(bytes: &[u8], budget: &mut u64) -> Result<(), ImageFault> {
+    let (width, height) = reader(bytes, METADATA_BYTES)?.into_dimensions()?;
     if width > MAX_SIDE || height > MAX_SIDE {
-        return Err(format!("is {width} x {height} texels, more than {MAX_SIDE} on a side"));
+        return Err(ImageFault::TooLarge { width, height });
     }
     let size = u64::from(width) * u64::from(height) * size_of::<[u8; 4]>() as u64;
-    *budget = budget
-        .checked_sub(size)
-        .ok_or_else(|| format!("is {width} x {height} texels, with the others out of proportion to the file's size"))?;
+    *budget = budget.checked_sub(size).ok_or(ImageFault::Budget { width, height })?;
     Ok(())
 }
 
-/// Takes up to three times what it returns: an image of 16 bits a channel is there next to the one of 8 bits.
-fn decode(bytes: &[u8]) -> Result<Texture, String> {
-    let (width, height) = reader(bytes, METADATA_BYTES)?.into_dimensions().map_err(|e| e.to_string())?;
+/// Decodes an image to RGBA8. Peak memory: up to three times the result, since an image of 16 bits a channel is held
+/// beside its copy of 8 bits.
+fn decode(bytes: &[u8]) -> Result<Texture, ImageFault> {
+    let (width, height) = reader(bytes, METADATA_BYTES)?.into_dimensions()?;
     let largest = u64::from(width) * u64::from(height) * size_of::<[u16; 4]>() as u64;
-    let image = reader(bytes, METADATA_BYTES + largest)?.decode().map_err(|e| e.to_string())?.into_rgba8();
+    let image = reader(bytes, METADATA_BYTES + largest)?.decode()?.into_rgba8();
     let (width, height) = image.dimensions();
     let (texels, _) = image.as_raw().as_chunks::<4>();
     Ok(Texture { width, height, texels: texels.into() })
 }
 
-/// The format is told by the first bytes, not by what the file says: exporters get that wrong. `max_alloc` is the most that the decoder
-/// may take.
-fn reader(bytes: &[u8], max_alloc: u64) -> Result<ImageReader<Cursor<&[u8]>>, String> {
+/// A decoder that takes at most `max_alloc` bytes of memory. The format is detected from the data; `mimeType` is often
+/// wrong.
+fn reader(bytes: &[u8], max_alloc: u64) -> Result<ImageReader<Cursor<&[u8]>>, ImageFault> {
     let Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg)) = ::image::guess_format(bytes) else {
-        return Err("is neither PNG nor JPEG".into());
+        return Err(ImageFault::UnknownFormat);
     };
     let mut limits = Limits::default();
     limits.max_alloc = Some(max_alloc);
@@ -167,7 +201,7 @@ fn reader(bytes: &[u8], max_alloc: u64) -> Result<ImageReader<Cursor<&[u8]>>, St
     Ok(reader)
 }
 
-/// Cannot be missed, and cannot be meant.
+/// The magenta checkerboard that is shown for a missing image.
 fn checkerboard() -> Texture {
     const SIDE: u32 = 16;
     const CHECKER_SIZE: u32 = 4;

@@ -1,8 +1,8 @@
-//! From a primitive's vertex order to triangles.
+//! Triangle topologies: list, strip, fan.
 
 use ::gltf::json::mesh::Mode;
 
-/// How a list of vertices makes triangles.
+/// How a sequence of vertices forms triangles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) enum Topology {
     List,
@@ -21,7 +21,7 @@ impl Topology {
         }
     }
 
-    /// How many triangles that many vertices make.
+    /// The number of triangles that so many vertices form.
     pub(super) fn triangle_count(self, vertices: usize) -> usize {
         match self {
             Self::List => vertices / 3,
@@ -29,8 +29,9 @@ impl Topology {
         }
     }
 
-    /// The triangles, each with the first vertex and the winding that the glTF specification (3.7.2.1) gives it. Vertices that
-    /// complete no triangle are left out; triangles without area are kept, so that indices of triangles stay those of the file.
+    /// The triangles, each with the first vertex and the winding that the glTF specification (3.7.2.1) gives it.
+    /// Vertices that complete no triangle are left out; triangles without area are kept, so that triangle indices stay
+    /// those of the file.
     pub(super) fn triangles(self, vertices: &[u32]) -> Vec<[u32; 3]> {
         match self {
             Self::List => vertices.as_chunks::<3>().0.to_vec(),
@@ -44,19 +45,21 @@ impl Topology {
     }
 }
 
-/// Renumbers the vertices so that those that are used follow one another, and returns which those are, ascending; `None` if
-/// all `vertex_count` are used, and nothing was renumbered. O(indices + vertices / 64).
+/// Compacts the index range: renumbers indices to the used vertices only, and returns these in ascending order; `None`
+/// if all `vertex_count` vertices are used, so that nothing was renumbered. O(indices + vertices / 64).
 ///
 /// Exporters often let many primitives share one vertex buffer, of which each uses a part.
 pub(super) fn compact_vertices(indices: &mut [u32], vertex_count: usize) -> Option<Vec<u32>> {
+    // 1. Mark the used vertices in a bit set that begins at the first of them.
     let (Some(&first), Some(&last)) = (indices.iter().min(), indices.iter().max()) else { return Some(Vec::new()) };
     let mut words = vec![0_u64; ((last - first) / u64::BITS) as usize + 1];
-    let place = |vertex: u32| (((vertex - first) / u64::BITS) as usize, (vertex - first) % u64::BITS);
+    let word_and_bit = |vertex: u32| (((vertex - first) / u64::BITS) as usize, (vertex - first) % u64::BITS);
     for &vertex in &*indices {
-        let (word, bit) = place(vertex);
+        let (word, bit) = word_and_bit(vertex);
         words[word] |= 1 << bit;
     }
 
+    // 2. Prefix sums of the words' bit counts: the number of used vertices before each word.
     let mut total = 0;
     let ranks: Vec<u32> = words
         .iter()
@@ -69,15 +72,19 @@ pub(super) fn compact_vertices(indices: &mut [u32], vertex_count: usize) -> Opti
     if total as usize == vertex_count {
         return None;
     }
+
+    // 3. Renumber: the new index is the number of used vertices before the old one.
     for vertex in indices {
-        let (word, bit) = place(*vertex);
+        let (word, bit) = word_and_bit(*vertex);
         *vertex = ranks[word] + (words[word] & ((1 << bit) - 1)).count_ones();
     }
-    let bits = |(i, &word): (usize, &u64)| {
+
+    // 4. List the used vertices.
+    let vertices_of_word = |(i, &word): (usize, &u64)| {
         let base = first + i as u32 * u64::BITS;
         (0..u64::BITS).filter(move |bit| word >> bit & 1 == 1).map(move |bit| base + bit)
     };
-    Some(words.iter().enumerate().flat_map(bits).collect())
+    Some(words.iter().enumerate().flat_map(vertices_of_word).collect())
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! Where the bytes of a buffer or an image are: in a data URI, or in a file near the glTF file.
+//! URIs of buffers and images: data URIs, and files relative to the glTF file.
 
 use std::borrow::Cow;
 use std::fs::File;
@@ -10,6 +10,8 @@ use base64::alphabet;
 use base64::engine::{DecodePaddingMode, GeneralPurpose, GeneralPurposeConfig};
 use percent_encoding::percent_decode_str;
 
+use super::UriFault;
+
 /// Base64 as exporters write it: with padding or without.
 const BASE64: GeneralPurpose = GeneralPurpose::new(
     &alphabet::STANDARD,
@@ -18,7 +20,7 @@ const BASE64: GeneralPurpose = GeneralPurpose::new(
         .with_decode_allow_trailing_bits(true),
 );
 
-/// Where a URI leads to. Equal locations hold equal bytes, however they are spelled.
+/// A resolved URI. Equal targets hold equal bytes, however the URIs are spelled.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(super) enum UriTarget<'u> {
     /// The part of a data URI after its scheme.
@@ -27,41 +29,41 @@ pub(super) enum UriTarget<'u> {
     File(PathBuf),
 }
 
-/// Where `uri` leads to, or why nowhere.
+/// Resolves a URI, or returns why it cannot be read. Relative files are looked for in the folder of the glTF file
+/// `base`; `..` may lead out of it, as in other importers.
 ///
-/// A relative URI is a file, looked for from the folder of the glTF file `base`; `..` may lead out of it, as in other importers.
-/// Absolute paths, percent-encoded or not, and every scheme but `data:` are refused: an import reads no network, and names no place on the
-/// machine that its file does not lead to step by step.
-pub(super) fn resolve<'u>(uri: &'u str, base: &Path) -> Result<UriTarget<'u>, String> {
+/// Absolute paths, percent-encoded or not, and all schemes except `data:` are rejected: an import never accesses the
+/// network, nor a file that is not given relative to the glTF file.
+pub(super) fn resolve<'u>(uri: &'u str, base: &Path) -> Result<UriTarget<'u>, UriFault> {
     if let Some(data) = strip_data_scheme(uri) {
         return Ok(UriTarget::Data(data));
     }
     if let Some(scheme) = scheme(uri) {
-        return Err(format!("the URI scheme \"{scheme}:\" is not supported: only data: and relative files are"));
+        return Err(UriFault::Scheme { scheme: scheme.to_owned() });
     }
     let folder = base.parent().unwrap_or(Path::new(""));
     let decoded = percent_decode_str(uri).decode_utf8().unwrap_or(Cow::Borrowed(uri));
-    // Both are joined to the folder below, which an absolute path would replace.
+    // `Path::join` with an absolute path would discard the folder, so both spellings are checked.
     for path in [uri, &decoded] {
         check_relative(path)?;
     }
     let path = folder.join(decoded.as_ref());
     let canonical = match path.canonicalize() {
-        // A name with a literal "%20" in it is not valid as a URI, but is written all the same.
+        // A file name with a literal "%20" in it is not a valid URI, but some exporters write it.
         Err(e) if e.kind() == io::ErrorKind::NotFound && decoded != uri => {
             folder.join(uri).canonicalize().map_err(|_| e)
         }
         result => result,
     };
-    canonical.map(UriTarget::File).map_err(|e| describe(&path, &e))
+    canonical.map(UriTarget::File).map_err(|e| io_fault(&path, &e))
 }
 
 impl UriTarget<'_> {
-    /// The bytes there, at most `limit` of those of a file; or why there are none.
-    pub(super) fn read(&self, limit: u64) -> Result<Vec<u8>, String> {
+    /// Reads the bytes, at most `limit` of those of a file.
+    pub(super) fn read(&self, limit: u64) -> Result<Vec<u8>, UriFault> {
         match self {
             Self::Data(data) => decode_data(data),
-            Self::File(path) => read_file(path, limit).map_err(|e| describe(path, &e)),
+            Self::File(path) => read_file(path, limit).map_err(|e| io_fault(path, &e)),
         }
     }
 }
@@ -77,8 +79,8 @@ pub(super) fn read_file(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-fn describe(path: &Path, error: &io::Error) -> String {
-    format!("the external file {} cannot be read: {error}", path.display())
+fn io_fault(path: &Path, error: &io::Error) -> UriFault {
+    UriFault::Io { path: path.to_owned(), kind: error.kind(), message: error.to_string() }
 }
 
 fn strip_data_scheme(uri: &str) -> Option<&str> {
@@ -94,39 +96,40 @@ fn scheme(uri: &str) -> Option<&str> {
     is_scheme.then_some(scheme)
 }
 
-/// Refuses absolute paths, those with a drive or a share, and those that no system takes. On every system alike: what one calls absolute
-/// is no name to rely on elsewhere.
-fn check_relative(path: &str) -> Result<(), String> {
+/// Rejects absolute paths, drive and share prefixes and NUL bytes, by the rules of all platforms, so that a file
+/// imports the same everywhere.
+fn check_relative(path: &str) -> Result<(), UriFault> {
     let is_anchor = |part| matches!(part, Component::Prefix(_) | Component::RootDir);
     let has_drive = matches!(path.as_bytes(), [letter, b':', ..] if letter.is_ascii_alphabetic());
     if path.starts_with(['/', '\\']) || has_drive || Path::new(path).components().any(is_anchor) {
-        return Err(format!("{path} is an absolute path: only paths relative to the glTF file are read"));
+        return Err(UriFault::AbsolutePath { path: path.to_owned() });
     }
     if path.contains('\0') {
-        return Err("the URI has a NUL byte in it, which no file name has".into());
+        return Err(UriFault::NulByte);
     }
     Ok(())
 }
 
-/// RFC 2397: `[mime type][;base64],payload`. The MIME type is ignored; images are told by their first bytes.
-fn decode_data(data: &str) -> Result<Vec<u8>, String> {
-    let (kind, payload) = data.split_once(',').ok_or("the data URI has no comma, hence no data")?;
+/// RFC 2397: `[mime type][;base64],payload`. The MIME type is ignored: the format of
+/// images is detected from their first bytes.
+fn decode_data(data: &str) -> Result<Vec<u8>, UriFault> {
+    let (kind, payload) = data.split_once(',').ok_or(UriFault::NoComma)?;
     let payload: Cow<'_, [u8]> = percent_decode_str(payload).into();
     if !kind.to_ascii_lowercase().ends_with(";base64") {
         return Ok(payload.into_owned());
     }
-    BASE64.decode(payload).map_err(|e| format!("the data URI is not valid base64: {e}"))
+    BASE64.decode(payload).map_err(|e| UriFault::Base64(e.to_string()))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn read(uri: &str, base: &Path, limit: u64) -> Result<Vec<u8>, String> {
+    fn read(uri: &str, base: &Path, limit: u64) -> Result<Vec<u8>, UriFault> {
         resolve(uri, base)?.read(limit)
     }
 
-    fn read_here(uri: &str) -> Result<Vec<u8>, String> {
+    fn read_here(uri: &str) -> Result<Vec<u8>, UriFault> {
         read(uri, Path::new("/nowhere/file.gltf"), u64::MAX)
     }
 
@@ -138,15 +141,15 @@ mod tests {
         assert_eq!(read_here("data:;base64,AQI=").unwrap(), [1, 2]);
         assert_eq!(read_here("data:;base64,AQI").unwrap(), [1, 2]);
         assert_eq!(read_here("data:,abc").unwrap(), b"abc");
-        assert!(read_here("data:abc").unwrap_err().contains("comma"));
-        assert!(read_here("data:;base64,A*==").unwrap_err().contains("base64"));
+        assert_eq!(read_here("data:abc"), Err(UriFault::NoComma));
+        assert!(matches!(read_here("data:;base64,A*=="), Err(UriFault::Base64(_))));
     }
 
     #[test]
     fn schemes_and_absolute_paths_are_refused() {
         for uri in ["http://host/a.bin", "file:///etc/hosts", "C:\\a.bin", "/etc/hosts", "\\\\host\\a", "//host/a"] {
-            let cause = read_here(uri).unwrap_err();
-            assert!(cause.contains("not supported") || cause.contains("absolute"), "{uri}: {cause}");
+            let fault = read_here(uri).unwrap_err();
+            assert!(matches!(fault, UriFault::Scheme { .. } | UriFault::AbsolutePath { .. }), "{uri}: {fault}");
         }
     }
 
@@ -162,10 +165,10 @@ mod tests {
         let encoded = path.replace('/', "%2F").replace('\\', "%5C").replace(':', "%3A");
         let first_encoded = format!("%{:02X}{}", path.as_bytes()[0], &path[1..]);
         for uri in [path, &encoded, &first_encoded, "%2Fetc%2Fpasswd", "C%3A\\a.bin", "%43:a.bin", "%5C%5Chost%5Ca"] {
-            let cause = resolve(uri, &base).unwrap_err();
-            assert!(cause.contains("not supported") || cause.contains("absolute"), "{uri}: {cause}");
+            let fault = resolve(uri, &base).unwrap_err();
+            assert!(matches!(fault, UriFault::Scheme { .. } | UriFault::AbsolutePath { .. }), "{uri}: {fault}");
         }
-        assert!(resolve("a%00.bin", &base).unwrap_err().contains("NUL"));
+        assert_eq!(resolve("a%00.bin", &base), Err(UriFault::NulByte));
         assert!(resolve("../outside.bin", &base).is_ok());
     }
 
@@ -196,6 +199,7 @@ mod tests {
             assert_eq!(read(uri, &base, u64::MAX).unwrap(), name.as_bytes(), "{uri}");
         }
         assert_eq!(read("a b.bin", &base, 2).unwrap(), b"a ");
-        assert!(read(".", &base, u64::MAX).unwrap_err().contains("regular file"));
+        let Err(UriFault::Io { kind, message, .. }) = read(".", &base, u64::MAX) else { panic!("reads a folder") };
+        assert!(kind == io::ErrorKind::InvalidInput && message.contains("regular file"), "{kind:?}: {message}");
     }
 }

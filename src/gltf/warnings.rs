@@ -1,4 +1,4 @@
-//! Collects what is not honoured; finds that part of it that shows in the JSON alone.
+//! Import warnings, and the detection of those that can be found from the JSON alone.
 
 use std::collections::BTreeSet;
 
@@ -7,67 +7,76 @@ use json::texture::{MagFilter, MinFilter};
 use json::validation::Checked::Valid;
 use serde_json::Value;
 
-use super::Document;
 use super::document::EXTENSIONS;
 use super::report::ImportWarning;
+use super::{Document, WarningKind};
 
-/// Everything that the import does not honour, in the order it was met.
+/// The warnings of an import, in the order in which they were found.
 #[derive(Default)]
 pub(super) struct Warnings {
     pub(super) list: Vec<ImportWarning>,
 }
 
 impl Warnings {
-    /// The extensions and features in a document that no data has to be read for.
+    /// The warnings about a document that need no binary data.
     pub(super) fn of(document: &Document) -> Self {
-        let mut notes = Self::default();
-        notes.add_extensions(document);
+        use WarningKind::Feature;
+
+        let mut warnings = Self::default();
+        warnings.add_extensions(document);
         for (i, _) in elements(&document.value, "animations") {
-            notes.add(document, "animation", format!("/animations/{i}"), "not yet played: shown as the nodes stand");
+            let fallback = "not supported: the transforms of the nodes are used";
+            warnings.add(document, Feature, "animation", format!("/animations/{i}"), fallback);
         }
         for i in 0..document.skins.len() {
-            notes.add(document, "skin", format!("/skins/{i}"), "not yet played: applied once, as the joints stand");
+            let fallback = "cannot be animated: applied once, in the rest pose of its joints";
+            warnings.add(document, Feature, "skin", format!("/skins/{i}"), fallback);
         }
         for (i, mesh) in document.meshes.iter().enumerate() {
             if mesh.primitives.iter().any(|p| p.targets.as_ref().is_some_and(|t| !t.is_empty())) {
-                let effect = "not yet played: applied once, by the default weights";
-                notes.add(document, "morph targets", format!("/meshes/{i}"), effect);
+                let fallback = "cannot be animated: applied once, by the default weights";
+                warnings.add(document, Feature, "morph targets", format!("/meshes/{i}"), fallback);
             }
         }
         for (i, material) in document.materials.iter().enumerate() {
             if material.occlusion_texture.is_some() {
-                let effect = "not used: what light reaches is traced";
-                notes.add(document, "occlusion texture", format!("/materials/{i}"), effect);
+                let fallback = "not used: occlusion is traced";
+                warnings.add(document, Feature, "occlusion texture", format!("/materials/{i}"), fallback);
             }
         }
-        notes.add_min_filters(document);
-        notes
+        warnings.add_min_filters(document);
+        warnings
     }
 
-    /// Adds a note about the object at a JSON pointer.
+    /// Adds a warning about the object at a JSON pointer.
     pub(super) fn add(
         &mut self,
         document: &Document,
+        kind: WarningKind,
         feature: impl Into<String>,
-        object: impl Into<String>,
-        effect: impl Into<String>,
+        pointer: impl Into<String>,
+        fallback: impl Into<String>,
     ) {
-        let object = object.into();
-        // The object itself, not the part of it that the pointer may lead to.
-        let owner = object.match_indices('/').nth(2).map_or(&object[..], |(end, _)| &object[..end]);
+        let pointer = pointer.into();
+        // The name is that of the object in a top-level array, also where the pointer leads to a part of it.
+        let owner = pointer.match_indices('/').nth(2).map_or(&pointer[..], |(end, _)| &pointer[..end]);
         let name = document.value.pointer(owner).and_then(|o| o.get("name")).and_then(Value::as_str);
         let name = shorten(name.unwrap_or_default());
-        self.list.push(ImportWarning { feature: feature.into(), pointer: object, name, fallback: effect.into() });
+        self.list.push(ImportWarning { kind, feature: feature.into(), pointer, name, fallback: fallback.into() });
     }
 
-    /// Every extension in the file but for those that are honoured, once for each object of the file's top-level arrays.
+    fn add_extension(&mut self, document: &Document, name: &str, pointer: &str) {
+        self.add(document, WarningKind::Extension, shorten(name), pointer, fallback_text(name));
+    }
+
+    /// Adds every extension in the file that is not supported, once for each object of the file's top-level arrays.
     fn add_extensions(&mut self, document: &Document) {
         let members = document.value.as_object().into_iter().flatten();
         for (key, member) in members {
             match (&**key, member) {
                 ("extensions", Value::Object(extensions)) => {
                     let names = extensions.keys().map(|name| &**name).filter(|name| !EXTENSIONS.contains(name));
-                    names.for_each(|name| self.add(document, shorten(name), "/", fallback_text(name)));
+                    names.for_each(|name| self.add_extension(document, name, "/"));
                 }
                 (key, Value::Array(elements)) => {
                     for (i, element) in elements.iter().enumerate() {
@@ -80,7 +89,7 @@ impl Warnings {
         }
     }
 
-    /// The extensions of an object and of everything in it.
+    /// Adds the extensions of an object and of everything in it, each once.
     fn add_extensions_of(&mut self, document: &Document, object: &Value, pointer: &str) {
         let mut names = BTreeSet::new();
         let mut pending = vec![object];
@@ -94,10 +103,10 @@ impl Warnings {
                 _ => {}
             }
         }
-        names.into_iter().for_each(|name| self.add(document, shorten(name), pointer, fallback_text(name)));
+        names.into_iter().for_each(|name| self.add_extension(document, name, pointer));
     }
 
-    /// One note for all samplers: a ray reads the full image by one filter, near or far.
+    /// Adds one warning for all samplers. There are no mipmaps: minification filters are ignored.
     fn add_min_filters(&mut self, document: &Document) {
         let differs = |sampler: &json::texture::Sampler| match sampler.min_filter {
             Some(Valid(MinFilter::Nearest)) => sampler.mag_filter != Some(Valid(MagFilter::Nearest)),
@@ -107,13 +116,13 @@ impl Warnings {
         };
         let mut differing = document.samplers.iter().enumerate().filter(|(_, sampler)| differs(sampler));
         if let Some((first, _)) = differing.next() {
-            let effect = match differing.count() {
+            let fallback = match differing.count() {
                 0 => "not used: the full image is read by magFilter at any distance".to_owned(),
                 more => {
                     format!("not used, here and in {more} more: the full image is read by magFilter at any distance")
                 }
             };
-            self.add(document, "minFilter and mipmaps", format!("/samplers/{first}"), effect);
+            self.add(document, WarningKind::Feature, "minFilter and mipmaps", format!("/samplers/{first}"), fallback);
         }
     }
 }
@@ -122,7 +131,7 @@ fn elements<'a>(root: &'a Value, key: &str) -> impl Iterator<Item = (usize, &'a 
     root.get(key).and_then(Value::as_array).into_iter().flatten().enumerate()
 }
 
-/// At most 80 characters of a name from the file: one long name on an object with many notes must not multiply.
+/// At most 80 characters of a name from the file: a long name is repeated in every warning about its object.
 fn shorten(name: &str) -> String {
     match name.char_indices().nth(80) {
         Some((end, _)) => format!("{}...", &name[..end]),
@@ -130,7 +139,7 @@ fn shorten(name: &str) -> String {
     }
 }
 
-/// What an extension's absence means, in words.
+/// What is done instead of an extension that is not supported, in words.
 fn fallback_text(extension: &str) -> &'static str {
     match extension {
         "EXT_meshopt_compression" | "KHR_draco_mesh_compression" => "not supported: the uncompressed data is read",

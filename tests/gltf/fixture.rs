@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use ropewalk::gltf::{self, ImportOptions, ImportReport};
+use ropewalk::gltf::{self, GltfFault, ImportOptions, ImportReport};
 use ropewalk::{Core, Error, Geometry, Material, NodeKey, Result, Scene};
 use serde_json::{Value, json};
 
@@ -117,13 +117,26 @@ impl Fixture {
         self.try_import().unwrap()
     }
 
-    /// The message that the import fails with.
-    pub(crate) fn error(&self) -> String {
+    /// The error that the import fails with.
+    pub(crate) fn error(&self) -> Error {
         match self.try_import() {
             Ok(_) => panic!("imports, but should not: {}", self.json),
-            Err(error @ (Error::Gltf { .. } | Error::UnsupportedExtension { .. })) => error.to_string(),
+            Err(error @ (Error::Gltf { .. } | Error::UnsupportedExtension { .. })) => error,
             Err(error) => panic!("unexpected kind of error: {error:?}"),
         }
+    }
+
+    /// The JSON pointer and the cause of the error that the import fails with.
+    pub(crate) fn fault(&self) -> (String, GltfFault) {
+        match self.error() {
+            Error::Gltf { pointer, cause, .. } => (pointer, cause),
+            error => panic!("unexpected kind of error: {error:?}"),
+        }
+    }
+
+    /// Whether the import fails because it would need too much memory.
+    pub(crate) fn exceeds_budget(&self) -> bool {
+        matches!(self.fault().1, GltfFault::Budget { .. })
     }
 }
 

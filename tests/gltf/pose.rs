@@ -1,6 +1,7 @@
 //! The rest pose: morph targets and skins, applied once.
 
 use glam::{DVec3, Vec3};
+use ropewalk::gltf::{AccessorFault, GltfFault, PrimitiveFault, SkinFault};
 use serde_json::json;
 
 use super::fixture::*;
@@ -19,7 +20,7 @@ fn morph_targets_are_added_by_their_default_weights() {
     // Without weights none applies.
     let imported = fixture.import();
     assert_eq!(imported.geometry().positions[0], Vec3::ZERO);
-    assert!(imported.notes()[0].contains("morph targets: not yet played"));
+    assert!(imported.notes()[0].contains("morph targets: cannot be animated"));
 
     // The mesh's weights, and a node's own instead.
     fixture.json["meshes"][0]["weights"] = json!([0.25, 0.5]);
@@ -87,7 +88,7 @@ fn skins_are_applied_as_the_joints_stand() {
     };
     assert!((normal(0) - DVec3::Z).length() < 1e-6);
     assert!((normal(1) - DVec3::X).length() < 1e-6);
-    assert!(imported.notes().iter().any(|n| n.contains("skin: not yet played")));
+    assert!(imported.notes().iter().any(|n| n.contains("skin: cannot be animated")));
 }
 
 #[test]
@@ -102,18 +103,31 @@ fn a_skin_that_cannot_be_applied_is_reported() {
     fixture.json["skins"] = json!([{"joints": [0]}]);
     fixture.json["nodes"][0]["skin"] = json!(0);
     let imported = fixture.import();
-    assert!(imported.notes().iter().any(|n| n.contains("does not hang on its joints")), "{:?}", imported.notes());
+    assert!(imported.notes().iter().any(|n| n.contains("no JOINTS and WEIGHTS")), "{:?}", imported.notes());
+}
+
+#[test]
+fn a_pose_beyond_all_numbers_names_its_primitive() {
+    let mut fixture = Fixture::new();
+    let positions = fixture.floats("VEC3", &TRIANGLE);
+    let far = fixture.floats("VEC3", &[f32::MAX; 9]);
+    let targets = json!([{"POSITION": far}]);
+    let mut fixture = fixture.with_primitive(json!({"attributes": {"POSITION": positions}, "targets": targets}));
+    fixture.json["meshes"][0]["weights"] = json!([2]);
+    assert_eq!(fixture.fault(), ("/meshes/0/primitives/0".into(), PrimitiveFault::PoseNotFinite.into()));
 }
 
 #[test]
 fn a_skin_without_enough_matrices_or_joints_is_an_error() {
     let mut fixture = skinned();
     fixture.json["skins"][0]["joints"] = json!([1, 2, 3]);
-    assert!(fixture.error().contains("3 joints, but only 2 inverse bind matrices"));
+    let too_few = SkinFault::TooFewMatrices { joints: 3, matrices: 2 };
+    assert_eq!(fixture.fault(), ("/skins/0".into(), too_few.into()));
     let mut fixture = skinned();
     fixture.json["skins"][0]["joints"] = json!([1]);
-    assert!(fixture.error().contains("refers to joint 1, but the skin has 1"));
+    let out_of_range = GltfFault::from(AccessorFault::JointOutOfRange { joint: 1, joint_count: 1 });
+    assert_eq!(fixture.fault().1, out_of_range);
     // Also where nothing shows the mesh.
     fixture.json["scenes"] = json!([{"nodes": []}]);
-    assert!(fixture.error().contains("refers to joint 1, but the skin has 1"));
+    assert_eq!(fixture.fault().1, out_of_range);
 }

@@ -56,7 +56,7 @@ fn row_of(rows: &HashMap<PathBuf, Row>, file: &Path) -> Row {
 fn import(file: &Path, scene_choice: Option<SceneSelector>) -> Result<ImportReport, Error> {
     let mut scene = Scene::new();
     let root = scene.root();
-    let report = gltf::import_with(file, &ImportOptions { scene: scene_choice }, &mut scene, root)?;
+    let report = gltf::import_with(file, &ImportOptions::default().with_scene(scene_choice), &mut scene, root)?;
     scene.validate().unwrap();
     let counts = report.counts;
     let name = file.display();

@@ -1,7 +1,8 @@
-//! The scene that is rendered when no file is named: a knot of golden rope in a round colonnade, with garlands of beads.
+//! The scene that is rendered when no file is named: a knot of golden rope in a round colonnade, with garlands of
+//! beads.
 //!
-//! It is made in code, so that the first picture needs no download. Some eight hundred nodes share two dozen cores: each column,
-//! bead and ball is a transform above a shared core.
+//! It is made in code, so that the first picture needs no download. Some eight hundred nodes share two dozen cores:
+//! each column, bead and ball is a transform above a shared core.
 
 pub(crate) mod shapes;
 pub(crate) mod textures;
@@ -14,7 +15,7 @@ use ropewalk::{Camera, Core, Result, Scene, Sky, Transform};
 
 /// Columns around the court.
 const COLUMNS: u32 = 14;
-/// From the middle of the court to the axes of the columns.
+/// From the center of the court to the axes of the columns.
 const RING_RADIUS: f64 = 6.0;
 /// Height of a column with base and capital.
 const COLUMN_HEIGHT: f64 = 4.0;
@@ -31,7 +32,7 @@ pub(crate) fn build(scene: &mut Scene) -> Result<NodeKey> {
     add_knot(scene, root, &marble)?;
     add_balls(scene, root)?;
 
-    // A low sun from the left, a little behind what is seen: columns and beads draw long shadows over the floor.
+    // A low sun from the left, slightly behind the knot: columns and beads cast long shadows over the floor.
     let sun = Light { kind: LightKind::Directional, color: Vec3::new(1.0, 0.80, 0.56), intensity: 5.5, range: None };
     let sun_pose = Transform::looking_at(dvec3(-5.5, 2.9, 1.26), DVec3::ZERO, DVec3::Y);
     let sun_node = scene.add(root, sun_pose)?;
@@ -45,7 +46,7 @@ pub(crate) fn build(scene: &mut Scene) -> Result<NodeKey> {
     Ok(camera)
 }
 
-/// The evening sky above it.
+/// The evening sky of the scene.
 pub(crate) fn sky() -> Sky {
     Sky {
         zenith: Vec3::new(0.0, 0.22, 0.95),
@@ -66,7 +67,7 @@ fn add_court(scene: &mut Scene, root: NodeKey, marble: &Material) -> Result<()> 
 
     let water = Material { roughness: 0.0, ..Material::diffuse(Vec3::new(0.01, 0.03, 0.04)) };
     let sea = core(scene, shapes::square(4000.0), water)?;
-    let node = place(scene, root, at(dvec3(0.0, -0.9, 0.0), 1.0), sea)?;
+    let node = add_at(scene, root, at(dvec3(0.0, -0.9, 0.0), 1.0), sea)?;
     scene.set_name(node, "sea")?;
 
     let step = [(0.0, 0.0), (1.0, 0.0), (1.0, 0.9), (0.96, 1.0), (0.0, 1.0)];
@@ -74,7 +75,12 @@ fn add_court(scene: &mut Scene, root: NodeKey, marble: &Material) -> Result<()> 
     let steps = group(scene, root, "steps")?;
     for (radius, bottom, height) in [(1.45, 0.0, 0.14), (1.15, 0.14, 0.14)] {
         let scale = dvec3(radius, height, radius);
-        place(scene, steps, Transform::Trs { translation: DVec3::Y * bottom, rotation: DQuat::IDENTITY, scale }, step)?;
+        add_at(
+            scene,
+            steps,
+            Transform::Trs { translation: DVec3::Y * bottom, rotation: DQuat::IDENTITY, scale },
+            step,
+        )?;
     }
     Ok(())
 }
@@ -83,7 +89,7 @@ fn add_court(scene: &mut Scene, root: NodeKey, marble: &Material) -> Result<()> 
 fn add_colonnade(scene: &mut Scene, root: NodeKey, marble: &Material) -> Result<()> {
     let colonnade = group(scene, root, "colonnade")?;
 
-    // Each profile is a column part's own: heights are absolute.
+    // One profile for each part of a column; heights are measured from the floor.
     let height = COLUMN_HEIGHT as f32;
     let base = [(0.45, 0.06), (0.46, 0.12), (0.40, 0.15), (0.43, 0.18), (0.43, 0.24), (0.36, 0.28), (0.33, 0.32)];
     let shaft: Vec<(f32, f32)> =
@@ -150,7 +156,7 @@ fn add_garlands(scene: &mut Scene, colonnade: NodeKey) -> Result<()> {
                 _ if i.is_multiple_of(2) => (coral, 0.058),
                 _ => (turquoise, 0.058),
             };
-            place(scene, garland, at(position, radius), core)?;
+            add_at(scene, garland, at(position, radius), core)?;
         }
     }
     Ok(())
@@ -185,8 +191,8 @@ fn add_knot(scene: &mut Scene, root: NodeKey, marble: &Material) -> Result<()> {
     for (third, color) in [(0.98, 0.69, 0.27), (1.0, 0.78, 0.40), (0.93, 0.58, 0.20)].into_iter().enumerate() {
         let gold = Material { roughness: 0.12, ..Material::mirror(Vec3::from(color)) };
         let material = scene.add_material(gold)?;
-        let turned = DQuat::from_rotation_z(TAU / 3.0 * third as f64);
-        let node = scene.add(knot, Transform::from_rotation(turned))?;
+        let rotation = DQuat::from_rotation_z(TAU / 3.0 * third as f64);
+        let node = scene.add(knot, Transform::from_rotation(rotation))?;
         scene.add(node, Core::Geometry { geometry: strand, material })?;
     }
     Ok(())
@@ -214,7 +220,7 @@ fn add_balls(scene: &mut Scene, root: NodeKey) -> Result<()> {
         (0.48, 1.92, 0.15, blue),
         (-2.15, 1.60, 0.19, red),
     ] {
-        place(scene, balls, at(dvec3(x, radius, z), radius), core)?;
+        add_at(scene, balls, at(dvec3(x, radius, z), radius), core)?;
     }
 
     const SMALL: u32 = 48;
@@ -222,7 +228,7 @@ fn add_balls(scene: &mut Scene, root: NodeKey) -> Result<()> {
         let angle = TAU * f64::from(i) / f64::from(SMALL);
         let (radius, core) = if i.is_multiple_of(2) { (0.055, chrome) } else { (0.035, blue) };
         let position = dvec3(angle.cos() * 1.30, 0.14 + radius, angle.sin() * 1.30);
-        place(scene, balls, at(position, radius), core)?;
+        add_at(scene, balls, at(position, radius), core)?;
     }
     Ok(())
 }
@@ -233,7 +239,7 @@ fn column_axis(i: u32) -> DVec3 {
     dvec3(angle.cos(), 0.0, angle.sin()) * RING_RADIUS
 }
 
-/// A uniformly scaled thing at a place.
+/// A translation with a uniform scale.
 fn at(translation: DVec3, scale: f64) -> Transform {
     Transform::Trs { translation, rotation: DQuat::IDENTITY, scale: DVec3::splat(scale) }
 }
@@ -253,8 +259,8 @@ fn group(scene: &mut Scene, parent: NodeKey, name: &str) -> Result<NodeKey> {
     Ok(node)
 }
 
-/// A transform with a shared core below it.
-fn place(scene: &mut Scene, parent: NodeKey, transform: Transform, core: CoreKey) -> Result<NodeKey> {
+/// Adds a transform with a shared core below it.
+fn add_at(scene: &mut Scene, parent: NodeKey, transform: Transform, core: CoreKey) -> Result<NodeKey> {
     let node = scene.add(parent, transform)?;
     scene.add(node, core)
 }

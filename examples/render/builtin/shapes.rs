@@ -5,7 +5,7 @@ use std::f32::consts::{PI, TAU};
 use glam::{Vec2, Vec3, vec2, vec3};
 use ropewalk::graph::Geometry;
 
-/// A mesh while it is being made.
+/// A mesh under construction.
 #[derive(Default)]
 struct Mesh {
     positions: Vec<Vec3>,
@@ -22,7 +22,7 @@ impl Mesh {
         self.positions.len() as u32 - 1
     }
 
-    /// Two triangles; the corners go around counter-clockwise seen from the front.
+    /// Adds two triangles; the corners are counter-clockwise seen from the front.
     fn quad(&mut self, [a, b, c, d]: [u32; 4]) {
         self.indices.extend([[a, b, c], [a, c, d]]);
     }
@@ -65,7 +65,7 @@ pub(crate) fn sphere(subdivisions: u32) -> Geometry {
     Geometry { normals: Some(positions.clone().into()), ..Geometry::new(positions, triangles) }
 }
 
-/// Every three vertices that are neighbours, counter-clockwise seen from outside.
+/// Every three vertices that are mutual neighbours, counter-clockwise seen from outside.
 fn icosahedron_faces(positions: &[Vec3]) -> Vec<[u32; 3]> {
     let edge = positions.iter().skip(1).map(|p| p.distance(positions[0])).fold(f32::MAX, f32::min) * 1.01;
     let near = |a: usize, b: usize| positions[a].distance(positions[b]) < edge;
@@ -126,9 +126,9 @@ pub(crate) fn square(half: f32) -> Geometry {
     mesh.finish()
 }
 
-/// What `profile`, pairs of radius and height from the bottom up, sweeps out around the y axis. Where the profile bends by more
-/// than 40 degrees there is an edge, elsewhere it is smooth. Each of `flutes` grooves takes `flute_depth` of the radius.
-/// A texture is repeated about every two units of length, a whole number of times around.
+/// The surface of revolution of `profile`, pairs of radius and height from the bottom up, about the y axis. Normals are
+/// smooth except where the profile bends by more than 40 degrees. Each of `flutes` grooves is `flute_depth` of the
+/// radius deep. The texture repeats about every two units of length, a whole number of times around.
 pub(crate) fn lathe(profile: &[Vec2], segments: u32, flutes: u32, flute_depth: f32) -> Geometry {
     let mut mesh = Mesh::default();
     let repeats = (0.5 * TAU * profile.iter().map(|point| point.x).fold(0.0, f32::max)).round().max(1.0);
@@ -168,8 +168,8 @@ pub(crate) fn lathe(profile: &[Vec2], segments: u32, flutes: u32, flute_depth: f
     mesh.finish()
 }
 
-/// A closed tube of this radius around a closed curve, `curve(t)` with t from 0 to 1. `side(t)` is any direction that is never
-/// parallel to the curve and comes back to itself; it says where the tube's seam runs.
+/// A closed tube of this radius around a closed curve, `curve(t)` with t from 0 to 1. `side(t)` is a closed curve of
+/// directions, never parallel to the tangent; it determines the position of the tube's seam.
 pub(crate) fn closed_tube(
     curve: impl Fn(f32) -> Vec3,
     side: impl Fn(f32) -> Vec3,
@@ -202,11 +202,11 @@ pub(crate) fn closed_tube(
     mesh.finish()
 }
 
-/// One of the three strands of a rope that is tied into a trefoil knot about the z axis; turned by a third about that axis, it is
-/// the next. The knot is about 3 units wide and 1 thick.
+/// One of the three strands of a rope that is tied into a trefoil knot about the z axis; the others are this one
+/// rotated by thirds of a turn about that axis. The knot is about 3 units wide and 1 thick.
 pub(crate) fn trefoil_strand(rope_radius: f32) -> Geometry {
-    /// How often a strand winds around the rope on its way through the knot: a whole number, so that it closes, but none of
-    /// three, so that a turn of the knot makes it another strand.
+    /// How often a strand winds around the rope along the whole knot: a whole number, so that the strand closes, but
+    /// not a multiple of three, so that rotating the knot by a third maps the strand to another one.
     const LAY: f32 = 17.0;
 
     // A torus knot winds three times around a tube while it goes twice around.
@@ -223,7 +223,7 @@ pub(crate) fn trefoil_strand(rope_radius: f32) -> Geometry {
         let (sin, cos) = (TAU * LAY * t).sin_cos();
         (center, across * cos + tangent.cross(across) * sin)
     };
-    // Strands of this part of the rope's radius touch each other.
+    // With this fraction of the rope's radius, the strands touch each other.
     let touching = (PI / 3.0).sin();
     let to_strand = rope_radius / (1.0 + touching);
     let strand = move |t: f32| lay(t).0 + lay(t).1 * to_strand;

@@ -11,7 +11,7 @@ pub(crate) fn marble_checker(size: u32) -> Texture {
         let within = p * 2.0 - slab;
         let joint = within.min(1.0 - within).min_element() < 0.008;
         let is_light = (slab.x + slab.y) as i32 % 2 == 0;
-        // Each slab is cut from another place of the rock; both are whole tiles away, so that the texture repeats.
+        // Light and dark slabs use different seeds. Both patterns tile, so that the texture repeats.
         let veins = veins(p, if is_light { 0 } else { 7 });
         match (joint, is_light) {
             (true, _) => Vec3::splat(0.05),
@@ -41,14 +41,14 @@ pub(crate) fn from_fn(size: u32, color: impl Fn(Vec2) -> Vec3) -> Texture {
     Texture { width: size, height: size, texels }
 }
 
-/// Thin lines, 0 to 1, where a disturbed wave crosses zero. Tiles with period 1.
+/// Thin lines, 0 to 1, at the zeros of a sine wave distorted by noise. Tiles with period 1.
 fn veins(p: Vec2, seed: u32) -> f32 {
     let turbulence = (0..5).map(|octave| noise(p, 2 << octave, seed + octave) / (1 << octave) as f32).sum::<f32>();
     let wave = (std::f32::consts::TAU * (p.x + p.y + 0.7 * turbulence)).sin().abs();
     (1.0 - wave).powi(6)
 }
 
-/// Smooth noise between -1 and 1, of `cells` by `cells` random values over the unit square. Tiles with period 1.
+/// Value noise between -1 and 1, with `cells` by `cells` random values over the unit square. Tiles with period 1.
 fn noise(p: Vec2, cells: i32, seed: u32) -> f32 {
     let scaled = p * cells as f32;
     let cell = scaled.floor();
@@ -60,7 +60,7 @@ fn noise(p: Vec2, cells: i32, seed: u32) -> f32 {
     upper + (lower - upper) * t.y
 }
 
-/// A number between -1 and 1 that looks random: a hash of its arguments (two rounds of the PCG output function).
+/// A pseudorandom number between -1 and 1: a hash of its arguments (two rounds of the PCG output function).
 fn random(cell: IVec2, seed: u32) -> f32 {
     let pcg = |v: u32| {
         let state = v.wrapping_mul(747_796_405).wrapping_add(2_891_336_453);

@@ -1,4 +1,4 @@
-//! The state of the viewer and all that can be done with it. Knows nothing of windows.
+//! The state of the viewer and all operations on it, independent of the window.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -9,16 +9,16 @@ use ropewalk::{DeviceChoice, NodeKey, Scene, View};
 use serde_json::{Value, json};
 
 use crate::camera_control::CameraControl;
+use crate::cameras_and_lights::cameras;
 use crate::device::WindowDevice;
 use crate::drag::{Axis, Drag, Moves, moved_by};
 use crate::drawing::{Drawing, Drawn};
 use crate::edit::Edit;
+use crate::loaded_scene::{LoadedScene, Loading};
 use crate::messages::Messages;
 use crate::projection::Projection;
-use crate::stage::cameras;
-use crate::subject::{Loading, Subject};
 
-/// Everything but the window.
+/// The whole state of the viewer except the window.
 pub(crate) struct App {
     pub(crate) scene: Scene,
     pub(crate) title: String,
@@ -29,36 +29,36 @@ pub(crate) struct App {
     editing: Option<&'static str>,
     selection: Option<NodeKey>,
     control: CameraControl,
-    /// Where the camera was at first.
+    /// The first view of the scene.
     home: View,
-    /// What was last seen, of the size that it has in the window.
+    /// The current view, of the size that it has in the window.
     view: View,
     drag: Option<Drag>,
     loading: Option<Loading>,
     events: Vec<Value>,
 }
 
-/// What the user chooses.
+/// Settings that the user changes.
 #[derive(Clone, Debug)]
 pub(crate) struct Settings {
     pub(crate) depth: u32,
-    /// So many by so many rays a pixel, where nothing moves.
+    /// So many by so many rays are traced for each pixel when nothing moves.
     pub(crate) rays: u32,
-    /// Nodes whose mask shares no bit with it are not seen.
+    /// Nodes whose mask has no bit in common with it are not shown.
     pub(crate) ray_mask: u32,
-    /// A camera of the scene; none for the free one.
+    /// A camera of the scene; `None` for the free camera.
     pub(crate) camera: Option<NodeKey>,
     pub(crate) moves: Moves,
     /// Whether panels, boxes and numbers are shown.
     pub(crate) overlay: bool,
-    /// Where pictures are saved.
+    /// The path to save to.
     pub(crate) save_path: String,
-    /// What is typed in to be opened.
+    /// The path to open, as typed in.
     pub(crate) open_path: String,
 }
 
 impl App {
-    /// With an empty scene.
+    /// A viewer of an empty scene.
     pub(crate) fn new(
         device: DeviceChoice,
         settings: Settings,
@@ -86,7 +86,7 @@ impl App {
         Ok(app)
     }
 
-    /// What happened since the last call, for the log.
+    /// The events since the last call, for the log.
     pub(crate) fn take_events(&mut self) -> Vec<Value> {
         std::mem::take(&mut self.events)
     }
@@ -103,21 +103,21 @@ impl App {
         self.loading.as_ref().map(|loading| loading.title.as_str())
     }
 
-    /// Shows what was loaded, once it is.
+    /// Shows the loaded scene, once it is complete.
     pub(crate) fn finish_loading(&mut self) {
         match self.loading.as_ref().and_then(Loading::poll) {
             None => return,
-            Some(Ok(subject)) => self.show(subject),
+            Some(Ok(loaded)) => self.show(loaded),
             Some(Err(message)) => self.fail(&message),
         }
         self.loading = None;
     }
 
-    /// Shows another scene.
-    pub(crate) fn show(&mut self, subject: Subject) {
-        let Subject { scene, title, view, not_honoured } = subject;
-        if not_honoured > 0 {
-            self.messages.tell(format!("{title}: {not_honoured} features of the file are not honoured"));
+    /// Replaces the scene.
+    pub(crate) fn show(&mut self, loaded: LoadedScene) {
+        let LoadedScene { scene, title, view, warning_count } = loaded;
+        if warning_count > 0 {
+            self.messages.tell(format!("{title}: {warning_count} warnings about the file"));
         }
         self.events.push(json!({ "event": "opened", "title": title, "nodes": scene.node_count() }));
         (self.scene, self.title, self.home) = (scene, title, view);
@@ -129,14 +129,14 @@ impl App {
 
     // --- The camera
 
-    /// Puts the free camera where it was at first.
+    /// Resets the free camera to the first view.
     pub(crate) fn go_home(&mut self) {
         self.settings.camera = None;
-        let middle = self.middle();
-        self.control = CameraControl::from_view(&self.home, middle);
+        let center = self.scene_center();
+        self.control = CameraControl::from_view(&self.home, center);
     }
 
-    /// Brings the selection, or without one the whole scene, into the picture.
+    /// Frames the selection or, without one, the whole scene.
     pub(crate) fn frame(&mut self) {
         let node = self.selection.unwrap_or(self.scene.root());
         match self.scene.world_bounds(node) {
@@ -146,17 +146,17 @@ impl App {
         }
     }
 
-    /// The free camera, which from now on is looked through: from where the view is.
+    /// Switches to the free camera, at the current view if another camera was used, and returns it.
     pub(crate) fn free_camera(&mut self) -> &mut CameraControl {
         if self.settings.camera.take().is_some() {
-            let middle = self.middle();
-            self.control = CameraControl::from_view(&self.view, middle);
+            let center = self.scene_center();
+            self.control = CameraControl::from_view(&self.view, center);
         }
         &mut self.control
     }
 
-    /// The middle of the scene.
-    fn middle(&mut self) -> DVec3 {
+    /// The center of the scene's bounds.
+    fn scene_center(&mut self) -> DVec3 {
         let bounds = self.scene.world_bounds(self.scene.root()).ok().filter(|bounds| !bounds.is_empty());
         bounds.map_or(DVec3::ZERO, |bounds| bounds.center())
     }
@@ -166,13 +166,13 @@ impl App {
         cameras(&self.scene)
     }
 
-    /// Takes the size of the picture, and looks through the chosen camera.
-    pub(crate) fn look(&mut self, [width, height]: [u32; 2]) {
+    /// Updates the view for a picture of this size, through the chosen camera.
+    pub(crate) fn update_view(&mut self, [width, height]: [u32; 2]) {
         let mut view = View { width, height, ..self.home.clone() };
         self.control.apply(&mut view);
         if let Some(camera) = self.settings.camera {
             match View::from_camera(&self.scene, camera, width, height) {
-                Ok(seen) => (view.world_from_view, view.camera) = (seen.world_from_view, seen.camera),
+                Ok(camera) => (view.world_from_view, view.camera) = (camera.world_from_view, camera.camera),
                 Err(error) => {
                     self.settings.camera = None;
                     self.fail(&error.to_string());
@@ -183,7 +183,7 @@ impl App {
         self.view = view;
     }
 
-    /// How the current view maps the world to its picture.
+    /// The projection of the current view.
     pub(crate) fn projection(&self) -> Projection {
         Projection::of(&self.view)
     }
@@ -197,7 +197,7 @@ impl App {
         })
     }
 
-    /// Traces with another device.
+    /// Changes the device.
     pub(crate) fn use_device(&mut self, choice: DeviceChoice) {
         match self.drawing.choose(choice) {
             Ok(()) => self.tell_device(),
@@ -205,7 +205,7 @@ impl App {
         }
     }
 
-    /// Writes the current view to a file, in full detail; or, as the name's ending says, the scene.
+    /// Writes the current view to a file, in full detail, or the scene if the extension is `.ropewalk`.
     pub(crate) fn save(&mut self, path: &Path) {
         let saved = if path.extension().is_some_and(|extension| extension == "ropewalk") {
             self.scene.save(path)
@@ -223,18 +223,18 @@ impl App {
 
     // --- Selecting and moving
 
-    /// The node that is selected. It is in the scene.
+    /// The selected node, which is in the scene.
     pub(crate) fn selection(&self) -> Option<NodeKey> {
         self.selection
     }
 
-    /// Selects a node, or nothing.
+    /// Selects a node, or none.
     pub(crate) fn select(&mut self, node: Option<NodeKey>) {
         self.selection = node.filter(|&node| self.scene.contains(node));
         self.events.push(json!({ "event": "selected", "node": self.selection }));
     }
 
-    /// Selects what is seen at a position of the picture.
+    /// Selects the node that is visible at a position of the picture.
     pub(crate) fn pick(&mut self, position: DVec2) {
         match self.drawing.pick(&mut self.scene, &self.view, position) {
             Ok(hit) => self.select(hit.map(|hit| in_tree(&hit))),
@@ -242,8 +242,8 @@ impl App {
         }
     }
 
-    /// The corners of the box around the selection, in the order of [`Bounds::padded_corners`](ropewalk::Bounds::corners): its
-    /// own box where it is a geometry, a box along the world's axes around a subtree.
+    /// The corners of the box around the selection, in the order of [`Bounds::corners`](ropewalk::Bounds::corners): the
+    /// local box of a geometry, or the world-space box of a subtree.
     pub(crate) fn selected_corners(&mut self) -> Option<[DVec3; 8]> {
         let node = self.selection?;
         if let Some(geometry) = self.scene.node_core(node).ok()?.geometry() {
@@ -254,16 +254,16 @@ impl App {
         (!bounds.is_empty()).then(|| bounds.corners())
     }
 
-    /// Takes hold of the selection, if it is what is seen at this position; whether it is.
+    /// Starts a drag of the selection, if it is visible at this position; returns whether it is.
     pub(crate) fn begin_drag(&mut self, position: DVec2, moves: Moves) -> bool {
-        match self.take_hold(position, moves) {
+        match self.try_begin_drag(position, moves) {
             Ok(drag) => self.drag = drag,
             Err(message) => self.fail(&message),
         }
         self.drag.is_some()
     }
 
-    fn take_hold(&mut self, position: DVec2, moves: Moves) -> Result<Option<Drag>, String> {
+    fn try_begin_drag(&mut self, position: DVec2, moves: Moves) -> Result<Option<Drag>, String> {
         let Some(selection) = self.selection else { return Ok(None) };
         let hit = self.drawing.pick(&mut self.scene, &self.view, position).map_err(|error| error.to_string())?;
         let Some(hit) = hit.filter(|hit| is_at_or_below(&self.scene, in_tree(hit), selection)) else { return Ok(None) };
@@ -274,7 +274,7 @@ impl App {
         drag.map(Some).ok_or_else(|| "This cannot be moved: a transform above it is singular.".to_owned())
     }
 
-    /// Moves what was taken hold of to this position; whether anything was.
+    /// Moves the dragged node to this position; returns whether there is a drag.
     pub(crate) fn drag_to(&mut self, position: DVec2, axis: Option<Axis>) -> bool {
         let Some(drag) = self.drag else { return false };
         if let Some(local) = drag.to(self.projection().ray(position), axis) {
@@ -283,21 +283,21 @@ impl App {
         true
     }
 
-    /// Lets go.
+    /// Ends the drag.
     pub(crate) fn end_drag(&mut self) {
         if let Some(drag) = self.drag.take()
             && let Ok(local) = self.scene.local(drag.node)
         {
-            let (place, anchor) = (local.to_affine().translation, drag.anchor);
+            let (translation, anchor) = (local.to_affine().translation, drag.anchor);
             self.events.push(json!({
-                "event": "moved", "node": drag.node, "translation": place.to_array(), "anchor": anchor.to_array(),
+                "event": "moved", "node": drag.node, "translation": translation.to_array(), "anchor": anchor.to_array(),
             }));
         }
     }
 
     // --- Editing
 
-    /// Changes the scene, as part of the step of undo that [`end_group`](Self::end_group) ends.
+    /// Applies an edit, as part of the step of undo that [`end_group`](Self::end_group) ends.
     pub(crate) fn edit(&mut self, edit: Edit) {
         let name = edit.name();
         match edit.apply(&mut self.scene) {
@@ -307,14 +307,14 @@ impl App {
         self.selection = self.selection.filter(|&node| self.scene.contains(node));
     }
 
-    /// Removes what is selected, with everything below it.
+    /// Removes the selected node with its subtree.
     pub(crate) fn remove_selection(&mut self) {
         if let Some(node) = self.selection {
             self.edit(Edit::Remove(node));
         }
     }
 
-    /// Makes one step of undo of all edits since the last.
+    /// Combines all edits since the last call into one step of undo.
     pub(crate) fn end_group(&mut self) {
         if let Some(name) = self.editing.take() {
             self.scene.end_undo_group(name);
@@ -322,7 +322,7 @@ impl App {
         }
     }
 
-    /// The names of what can be undone and done again.
+    /// The names of the next steps of undo and redo.
     pub(crate) fn undoable(&self) -> [Option<&str>; 2] {
         [self.scene.next_undo(), self.scene.next_redo()]
     }
@@ -361,7 +361,7 @@ impl App {
     }
 }
 
-/// The device asked for; where that does not work, the CPU, and a message that says why.
+/// The requested device; if that fails, the CPU and a message that says why.
 fn open_device(choice: DeviceChoice, window: Option<WindowDevice>) -> ropewalk::Result<(Drawing, Messages)> {
     let mut messages = Messages::default();
     let drawing = Drawing::new(choice, window.clone()).or_else(|error| {
@@ -371,7 +371,7 @@ fn open_device(choice: DeviceChoice, window: Option<WindowDevice>) -> ropewalk::
     Ok((drawing, messages))
 }
 
-/// The node of the tree that was hit; of what is seen through instances, the outermost instance.
+/// The node of the tree that was hit; for a hit within an instance, the outermost instance node.
 fn in_tree(hit: &Hit) -> NodeKey {
     hit.path.instances.first().copied().unwrap_or(hit.path.node)
 }

@@ -54,11 +54,11 @@ impl From<Device> for DeviceChoice {
 }
 
 fn parse_size(text: &str) -> Result<(u32, u32), String> {
-    const MOST: u32 = 16_384;
+    const MAX: u32 = 16_384;
 
     let parsed = text.split_once(['x', 'X']).and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
     match parsed {
-        Some((width, height)) if (1..=MOST).contains(&width) && (1..=MOST).contains(&height) => Ok((width, height)),
-        _ => Err(format!("expected two numbers from 1 to {MOST}, as in 1280x800")),
+        Some((width, height)) if (1..=MAX).contains(&width) && (1..=MAX).contains(&height) => Ok((width, height)),
+        _ => Err(format!("expected two numbers from 1 to {MAX}, as in 1280x800")),
     }
 }

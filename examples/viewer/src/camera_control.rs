@@ -1,57 +1,57 @@
-//! The free camera: around a point, nearer and further, and through the scene like a bird.
+//! The free camera: orbit, look, pan, zoom and fly.
 
 use glam::{DAffine3, DMat3, DQuat, DVec2, DVec3};
 use ropewalk::{Bounds, Camera, View};
 
 use crate::projection::Projection;
 
-/// A camera that the user moves. The point that it turns about lies straight ahead.
+/// A camera that the user moves. Its pivot, the point that it orbits, lies straight ahead.
 #[derive(Clone, Debug)]
 pub(crate) struct CameraControl {
     eye: DVec3,
     rotation: DQuat,
-    /// To the point that it turns about.
+    /// Distance from the eye to the pivot.
     distance: f64,
     camera: Camera,
 }
 
 impl CameraControl {
-    /// Sees what `view` sees, and turns about the point ahead that is as far as `interest`.
-    pub(crate) fn from_view(view: &View, interest: DVec3) -> Self {
+    /// The camera of `view`, with the pivot at the depth of `target`.
+    pub(crate) fn from_view(view: &View, target: DVec3) -> Self {
         let axes = view.world_from_view.matrix3;
         let axes = [axes.x_axis, axes.y_axis, axes.z_axis].map(DVec3::normalize_or_zero);
         let eye = view.world_from_view.translation;
-        let ahead = (interest - eye).dot(-axes[2]);
-        let distance = if ahead > 0.0 { ahead } else { (interest - eye).length().max(1.0) };
+        let ahead = (target - eye).dot(-axes[2]);
+        let distance = if ahead > 0.0 { ahead } else { (target - eye).length().max(1.0) };
         let rotation = DQuat::from_mat3(&DMat3::from_cols(axes[0], axes[1], axes[2])).normalize();
         Self { eye, rotation, distance, camera: view.camera }
     }
 
-    /// Puts its pose and lens into a view.
+    /// Writes its pose and projection into a view.
     pub(crate) fn apply(&self, view: &mut View) {
         view.world_from_view = DAffine3::from_rotation_translation(self.rotation, self.eye);
         view.camera = self.camera;
     }
 
-    /// Turns about the point ahead, as if the picture were dragged by that many of its heights.
+    /// Orbits the pivot, by a drag given in image heights.
     pub(crate) fn orbit(&mut self, drag: DVec2) {
         let pivot = self.eye + self.forward() * self.distance;
         self.turn(drag * -std::f64::consts::PI);
         self.eye = pivot - self.forward() * self.distance;
     }
 
-    /// Looks around, as if the picture were dragged by that many of its heights.
+    /// Rotates about the eye, by a drag given in image heights.
     pub(crate) fn look(&mut self, drag: DVec2) {
         self.turn(drag * -1.0);
     }
 
-    /// Moves sideways, so that what is at the distance of the point ahead follows a drag of so many pixels.
+    /// Moves camera and pivot sideways, so that a point at the depth of the pivot follows a drag given in pixels.
     pub(crate) fn pan(&mut self, pixels: DVec2, projection: &Projection) {
         let step = pixels * projection.pixel_size(self.distance);
         self.eye += self.rotation * DVec3::new(-step.x, step.y, 0.0);
     }
 
-    /// Moves towards the point ahead, or away: each step by a tenth of the way.
+    /// Moves towards the pivot (`steps` above 0) or away from it, by a tenth of the distance in each step.
     pub(crate) fn zoom(&mut self, steps: f64) {
         let factor = 0.9_f64.powf(steps.clamp(-50.0, 50.0));
         if let Camera::Orthographic { x_mag, y_mag, .. } = &mut self.camera {
@@ -63,12 +63,12 @@ impl CameraControl {
         self.eye = pivot - self.forward() * self.distance;
     }
 
-    /// Flies: right, up and back, by so many times the distance to the point ahead, which it takes along.
+    /// Moves camera and pivot right, up and back, in units of the distance to the pivot.
     pub(crate) fn fly(&mut self, step: DVec3) {
         self.eye += self.rotation * step * self.distance;
     }
 
-    /// Keeps its direction and goes to where a box fills the picture.
+    /// Keeps the direction, and moves to where a box fills the image.
     pub(crate) fn frame(&mut self, bounds: &Bounds) {
         let radius = bounds.radius().max(f64::MIN_POSITIVE);
         match &mut self.camera {
@@ -85,14 +85,14 @@ impl CameraControl {
         self.rotation * DVec3::NEG_Z
     }
 
-    /// Turns left about the world's vertical, then up, in radians, but not over the zenith.
+    /// Rotates left about the world's y axis, then up, in radians; never past straight up or down.
     fn turn(&mut self, angles: DVec2) {
-        /// From straight up and down, in radians.
+        /// The smallest angle to straight up and down, in radians.
         const MARGIN: f64 = 0.01;
 
         let elevation = self.forward().y.clamp(-1.0, 1.0).asin();
-        let most = std::f64::consts::FRAC_PI_2 - MARGIN;
-        let up = (elevation + angles.y).clamp(-most.max(-elevation), most.max(elevation)) - elevation;
+        let max_elevation = std::f64::consts::FRAC_PI_2 - MARGIN;
+        let up = (elevation + angles.y).clamp(-max_elevation.max(-elevation), max_elevation.max(elevation)) - elevation;
         self.rotation = (DQuat::from_rotation_y(angles.x) * self.rotation * DQuat::from_rotation_x(up)).normalize();
     }
 }
@@ -111,7 +111,7 @@ mod tests {
         CameraControl::from_view(&view(), dvec3(0.0, 1.0, 0.0))
     }
 
-    fn ahead(control: &CameraControl) -> DVec3 {
+    fn pivot(control: &CameraControl) -> DVec3 {
         control.eye + control.forward() * control.distance
     }
 
@@ -127,7 +127,7 @@ mod tests {
         let mut control = control();
         for step in 0..1000 {
             control.orbit(dvec2(0.01, if step % 200 < 100 { 0.02 } else { -0.02 }));
-            assert!(ahead(&control).distance(dvec3(0.0, 1.0, 0.0)) < 1e-9);
+            assert!(pivot(&control).distance(dvec3(0.0, 1.0, 0.0)) < 1e-9);
             assert!((control.distance - 5.0).abs() < 1e-9);
             assert!((control.rotation * DVec3::Y).y > 0.0, "upside down");
             assert!((control.rotation * DVec3::X).y.abs() < 1e-9, "tilted");

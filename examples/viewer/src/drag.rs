@@ -1,21 +1,21 @@
-//! Moving what is picked with the pointer.
+//! Dragging the selected node with the pointer.
 
 use glam::{DAffine3, DMat3, DVec3};
 use ropewalk::{Core, NodeKey, Scene, Transform};
 
 use crate::projection::Ray;
 
-/// What a drag moves.
+/// Which transform a drag changes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Moves {
-    /// The nearest transform at or above what is selected.
+    /// The nearest transform at or above the selected node.
     #[default]
     Object,
     /// The next transform above that one, with the whole subtree.
     Group,
 }
 
-/// The direction that a drag is held to.
+/// The axis constraint of a drag, in world space.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Axis {
     X,
@@ -26,13 +26,14 @@ pub(crate) enum Axis {
 /// A drag in progress.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Drag {
-    /// The transform that is moved.
+    /// The transform node that is moved.
     pub(crate) node: NodeKey,
+    /// Its local transform when the drag started.
     start: Transform,
     parent_from_world: DMat3,
-    /// The point of the surface that was taken hold of.
+    /// The point of the surface at which the drag started, in world space.
     pub(crate) anchor: DVec3,
-    /// It moves in the plane through the anchor across this direction.
+    /// The normal of the plane through the anchor in which the drag moves it.
     normal: DVec3,
 }
 
@@ -49,17 +50,18 @@ pub(crate) fn moved_by(scene: &Scene, node: NodeKey, moves: Moves) -> Option<Nod
 }
 
 impl Drag {
-    /// Takes hold of a transform node at a point of the world, seen along `normal`.
+    /// Starts a drag of a transform node at a point in world space, in the plane with this normal. `None` if the node's
+    /// parent has a singular world transform.
     pub(crate) fn begin(scene: &Scene, node: NodeKey, anchor: DVec3, normal: DVec3) -> ropewalk::Result<Option<Self>> {
         let start = scene.local(node)?;
         let parent_world =
             scene.parent(node)?.map_or(Ok(DAffine3::IDENTITY), |parent| scene.world_from_local(parent))?;
         let parent_from_world = parent_world.matrix3.inverse();
-        let usable = parent_from_world.is_finite();
-        Ok(usable.then_some(Self { node, start, parent_from_world, anchor, normal }))
+        let is_regular = parent_from_world.is_finite();
+        Ok(is_regular.then_some(Self { node, start, parent_from_world, anchor, normal }))
     }
 
-    /// Where the transform is when the anchor is under the pointer; `None` where the pointer is at no such place.
+    /// The local transform that brings the anchor under the pointer; `None` if none does.
     pub(crate) fn to(&self, ray: Ray, axis: Option<Axis>) -> Option<Transform> {
         let offset = match axis {
             None => self.in_plane(ray)?,
@@ -68,15 +70,16 @@ impl Drag {
         Some(translated(self.start, self.parent_from_world * offset))
     }
 
+    /// The offset of the anchor in the drag's plane, in world space.
     fn in_plane(&self, ray: Ray) -> Option<DVec3> {
         let distance = (self.anchor - ray.origin).dot(self.normal) / ray.direction.dot(self.normal);
         (distance.is_finite() && distance > 0.0).then(|| ray.origin + ray.direction * distance - self.anchor)
     }
 
-    /// To the point of the axis that is nearest to the ray.
+    /// The offset of the anchor along an axis, to the point nearest to the ray, in world space.
     fn along(&self, ray: Ray, axis: Axis) -> Option<DVec3> {
-        /// An axis that is seen end on leads nowhere.
-        const LEAST_SINE_SQUARED: f64 = 1e-4;
+        /// Below this squared sine between ray and axis, the nearest point is ill-conditioned.
+        const MIN_SINE_SQUARED: f64 = 1e-4;
 
         let axis = match axis {
             Axis::X => DVec3::X,
@@ -85,12 +88,12 @@ impl Drag {
         };
         let (offset, cosine) = (self.anchor - ray.origin, axis.dot(ray.direction));
         let sine_squared = 1.0 - cosine * cosine;
-        let way = (cosine * offset.dot(ray.direction) - offset.dot(axis)) / sine_squared;
-        (sine_squared > LEAST_SINE_SQUARED && way.is_finite()).then_some(axis * way)
+        let distance = (cosine * offset.dot(ray.direction) - offset.dot(axis)) / sine_squared;
+        (sine_squared > MIN_SINE_SQUARED && distance.is_finite()).then_some(axis * distance)
     }
 }
 
-/// The transform moved in its parent's space, in its own form.
+/// The transform moved in its parent's space; its variant stays.
 fn translated(transform: Transform, offset: DVec3) -> Transform {
     let (Transform::Trs { translation, .. }
     | Transform::Pivoted { translation, .. }
@@ -106,7 +109,7 @@ mod tests {
     use super::*;
     use crate::projection::Projection;
 
-    /// A turned and stretched parent, a child that is a matrix, and a leaf.
+    /// A rotated and scaled parent, a child that is a matrix, and a leaf.
     fn scene() -> (Scene, [NodeKey; 3]) {
         let mut scene = Scene::new();
         let parent = Transform::Trs {

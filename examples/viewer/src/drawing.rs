@@ -1,4 +1,4 @@
-//! Tracing what is to be shown: when, how finely, and how long it took.
+//! Tracing of the frames that are shown: when, in what detail, and how long it took.
 
 use std::collections::VecDeque;
 use std::path::Path;
@@ -9,51 +9,51 @@ use ropewalk::image::Image;
 use ropewalk::query::Hit;
 use ropewalk::{DeviceChoice, FrameReport, Renderer, Result, Scene, View};
 
-use crate::detail::{Detail, Pace, Step};
+use crate::detail::{Detail, DetailController, Step};
 use crate::device::{self, Opened, WindowDevice};
 
-/// A traced frame, where it is.
+/// A traced frame, in GPU or main memory.
 pub(crate) enum Picture {
     /// Linear colour on the window's device.
     Texture(wgpu::Texture),
     Image(Image),
 }
 
-/// What [`Drawing::draw`] did.
+/// The result of [`Drawing::draw`].
 #[derive(Default)]
 pub(crate) struct Drawn {
-    /// A new picture; none where the last one will do.
+    /// A new picture; `None` if the last one is still valid.
     pub(crate) picture: Option<Picture>,
-    /// When to draw again although nothing happens.
+    /// When to draw again even without input.
     pub(crate) again: Option<Duration>,
 }
 
-/// The renderer and what is known of its frames.
+/// The renderer, and the state of the frames it has traced.
 pub(crate) struct Drawing {
     window: Option<WindowDevice>,
     renderer: Renderer,
     pub(crate) choice: DeviceChoice,
-    /// Why the GPU is not used, where it was wanted.
+    /// Why the CPU is used although a GPU is preferred.
     pub(crate) fallback: Option<String>,
-    pace: Pace,
-    /// Of the last frame: its view, the scene's revision, and whether it failed.
+    controller: DetailController,
+    /// The view of the last frame, the scene's revision then, and whether the frame failed.
     last: Option<(View, u64, bool)>,
     pub(crate) report: Option<FrameReport>,
-    /// Of the last frames, the latest last.
+    /// The times of the last frames, the latest last.
     pub(crate) times: VecDeque<Duration>,
 }
 
-/// How many frame times are remembered.
-pub(crate) const MOST_TIMES: usize = 120;
+/// How many frame times are kept.
+pub(crate) const MAX_TIMES: usize = 120;
 
 impl Drawing {
     pub(crate) fn new(choice: DeviceChoice, window: Option<WindowDevice>) -> Result<Self> {
         let Opened { renderer, fallback } = device::open(choice, window.as_ref())?;
-        let (pace, times) = (Pace::default(), VecDeque::with_capacity(MOST_TIMES));
-        Ok(Self { window, renderer, choice, fallback, pace, last: None, report: None, times })
+        let (controller, times) = (DetailController::default(), VecDeque::with_capacity(MAX_TIMES));
+        Ok(Self { window, renderer, choice, fallback, controller, last: None, report: None, times })
     }
 
-    /// Traces with another device from now on; after an error with the same as before.
+    /// Changes the device; after an error the device is as before.
     pub(crate) fn choose(&mut self, choice: DeviceChoice) -> Result<()> {
         *self = Self::new(choice, self.window.clone())?;
         Ok(())
@@ -61,36 +61,37 @@ impl Drawing {
 
     /// The detail that is shown.
     pub(crate) fn detail(&self) -> Option<Detail> {
-        self.pace.shown()
+        self.controller.shown()
     }
 
-    /// Traces all rays of what is to be seen, however long the window has to wait for them.
+    /// Traces all rays of the current view, however long the window has to wait for them.
     pub(crate) fn finish(&mut self) {
-        self.pace.finish();
+        self.controller.finish();
     }
 
-    /// Forgets what was drawn and how long it took: another scene is to be seen.
+    /// Resets the state of past frames, for a different scene.
     pub(crate) fn start_over(&mut self) {
-        (self.pace, self.last) = (Pace::default(), None);
+        (self.controller, self.last) = (DetailController::default(), None);
     }
 
-    /// How long a frame with so many rays a pixel would take.
+    /// The estimated time of a frame with `rays` by `rays` rays per pixel.
     pub(crate) fn forecast(&self, rays: u32) -> Option<Duration> {
         let (view, ..) = self.last.as_ref()?;
-        self.pace.forecast(Detail::fine(rays), [view.width, view.height])
+        self.controller.forecast(Detail::fine(rays), [view.width, view.height])
     }
 
-    /// Brings what is shown nearer to `view` with `rays` by `rays` rays a pixel, as far as that is fluent.
+    /// Traces the next frame of `view`, in a detail that keeps the window responsive, up to `rays` by `rays` rays per
+    /// pixel.
     pub(crate) fn draw(&mut self, scene: &mut Scene, view: &View, rays: u32, now: Instant) -> Result<Drawn> {
         let size = [view.width, view.height];
-        let (same, failed) = match &self.last {
+        let (is_same, failed) = match &self.last {
             Some((last, revision, failed)) => (last == view && *revision == scene.revision(), *failed),
             None => (false, false),
         };
-        if size.contains(&0) || (same && failed) {
+        if size.contains(&0) || (is_same && failed) {
             return Ok(Drawn::default());
         }
-        let detail = match self.pace.step(!same, size, rays, now) {
+        let detail = match self.controller.step(!is_same, size, rays, now) {
             Step::Trace(detail) => detail,
             Step::Wait(time) => return Ok(Drawn { picture: None, again: Some(time) }),
             Step::Rest => return Ok(Drawn::default()),
@@ -98,26 +99,26 @@ impl Drawing {
         let traced = self.trace(scene, view, detail);
         self.last = Some((view.clone(), scene.revision(), traced.is_err()));
         let (picture, time) = traced?;
-        self.pace.traced(detail, size, time);
+        self.controller.traced(detail, size, time);
         Ok(Drawn { picture: Some(picture), again: Some(Duration::ZERO) })
     }
 
-    /// What is seen at a position of the view's picture.
+    /// The closest hit at a position of the image.
     pub(crate) fn pick(&mut self, scene: &mut Scene, view: &View, position: DVec2) -> Result<Option<Hit>> {
         let last = UVec2::new(view.width, view.height).saturating_sub(UVec2::ONE);
         self.renderer.pick(scene, view, position.floor().as_uvec2().min(last).to_array())
     }
 
-    /// Writes the view to a file, in full detail however long that takes.
+    /// Writes an image of the view to a file, in full detail however long that takes.
     pub(crate) fn save(&mut self, scene: &mut Scene, view: &View, rays: u32, path: &Path) -> Result<()> {
         Image::check_format(path)?;
-        let view = sized(view, Detail::fine(rays));
+        let view = with_traced_size(view, Detail::fine(rays));
         self.renderer.render(scene, &view)?.image()?.downscaled(rays)?.save(path)
     }
 
     fn trace(&mut self, scene: &mut Scene, view: &View, detail: Detail) -> Result<(Picture, Duration)> {
         let start = Instant::now();
-        let frame = self.renderer.render(scene, &sized(view, detail))?;
+        let frame = self.renderer.render(scene, &with_traced_size(view, detail))?;
         let picture = match frame.texture() {
             Some(texture) => Picture::Texture(texture.clone()),
             None => Picture::Image(frame.image()?),
@@ -125,7 +126,7 @@ impl Drawing {
         // On a GPU this waits for the frame.
         let time = frame.gpu_time().unwrap_or(frame.report().trace_time);
         self.report = Some(frame.report().clone());
-        if self.times.len() == MOST_TIMES {
+        if self.times.len() == MAX_TIMES {
             self.times.pop_front();
         }
         self.times.push_back(start.elapsed());
@@ -133,7 +134,7 @@ impl Drawing {
     }
 }
 
-fn sized(view: &View, detail: Detail) -> View {
+fn with_traced_size(view: &View, detail: Detail) -> View {
     let [width, height] = detail.traced_size([view.width, view.height]);
     View { width, height, ..view.clone() }
 }

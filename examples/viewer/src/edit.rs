@@ -1,4 +1,4 @@
-//! Edits that the user asks for.
+//! Edits of the scene by the user.
 
 use ropewalk::{NodeKey, Result, Scene, Transform};
 
@@ -13,7 +13,7 @@ pub(crate) enum Edit {
 }
 
 impl Edit {
-    /// In one word.
+    /// The name of the edit, in one word.
     pub(crate) fn name(&self) -> &'static str {
         match self {
             Self::Move(..) => "move",
@@ -25,7 +25,7 @@ impl Edit {
         }
     }
 
-    /// Does it.
+    /// Applies the edit.
     pub(crate) fn apply(self, scene: &mut Scene) -> Result<()> {
         match self {
             Self::Move(node, local) => scene.set_local(node, local),

@@ -1,4 +1,4 @@
-//! The window's life: events in, frames out.
+//! The winit event loop.
 
 use std::io::Write as _;
 use std::time::{Duration, Instant};
@@ -17,9 +17,9 @@ use crate::drag::Moves;
 use crate::theme;
 use crate::ui::Panels;
 use crate::viewport::Viewport;
-use crate::window::{Painted, Window};
+use crate::window::{EguiOutput, Window};
 
-/// Opens the window and serves it until it is closed.
+/// Opens the window and runs until it is closed.
 pub(crate) fn run(arguments: Arguments) -> Result<(), String> {
     let event_loop = EventLoop::new().map_err(|error| format!("no window can be opened: {error}"))?;
     let mut viewer = Viewer { arguments, state: None, outcome: Ok(()) };
@@ -27,34 +27,34 @@ pub(crate) fn run(arguments: Arguments) -> Result<(), String> {
     viewer.outcome
 }
 
-/// What winit calls.
+/// The event handler of winit.
 struct Viewer {
     arguments: Arguments,
     state: Option<State>,
-    /// Why there is no window.
+    /// The error if the window could not be opened.
     outcome: Result<(), String>,
 }
 
-/// What there is while there is a window.
+/// The state while the window is open.
 struct State {
     window: Window,
     input: egui_winit::State,
     app: App,
     panels: Panels,
     laid_out: LaidOut,
-    /// When to draw again although nothing happens.
+    /// When to draw again even without input.
     wake: Option<Instant>,
     log: bool,
-    /// What was last logged as shown, and whether there was an overlay.
+    /// The viewport, detail and overlay that were last logged as shown.
     logged: Option<(Viewport, Detail, bool)>,
 }
 
-/// What egui last laid out, to be drawn.
+/// The last output of egui, to be drawn.
 #[derive(Default)]
 struct LaidOut {
     viewport: Viewport,
     shapes: Vec<egui::epaint::ClippedShape>,
-    /// Of all passes since something was drawn.
+    /// The texture changes of all passes since the last frame.
     textures: egui::TexturesDelta,
     pixels_per_point: f32,
     repaint_delay: Duration,
@@ -75,7 +75,8 @@ impl ApplicationHandler for Viewer {
 
     fn window_event(&mut self, event_loop: &ActiveEventLoop, _: WindowId, event: WindowEvent) {
         let Some(state) = &mut self.state else { return };
-        // However long frames take, a drag is seen as one: its press, its way and its release each in a pass of its own.
+        // Press, movement and release are handled in separate passes, so that a drag is recognised however long frames
+        // take.
         let is_button = matches!(event, WindowEvent::MouseInput { .. });
         if is_button {
             state.lay_out();
@@ -126,7 +127,7 @@ impl State {
             event_loop,
             Some(window.handle.scale_factor() as f32),
             None,
-            Some(window.most_texels()),
+            Some(window.max_texture_side()),
         );
         let settings = Settings {
             depth: arguments.depth,
@@ -139,18 +140,18 @@ impl State {
             open_path: String::new(),
         };
         let mut app =
-            App::new(arguments.device.into(), settings, Some(window.on.clone())).map_err(|error| error.to_string())?;
+            App::new(arguments.device.into(), settings, Some(window.gpu.clone())).map_err(|error| error.to_string())?;
         app.open(arguments.file.clone());
         window.handle.request_redraw();
         let (panels, laid_out) = (Panels::default(), LaidOut::default());
         Ok(Self { window, input, app, panels, laid_out, wake: None, log: arguments.log, logged: None })
     }
 
-    /// Lays out the window and does what the user did since the last time.
+    /// Lays out the window and handles the input since the last call.
     fn lay_out(&mut self) {
         let Self { window, input, app, panels, laid_out, .. } = self;
-        for complaint in window.take_complaints() {
-            app.fail(&complaint);
+        for error in window.take_device_errors() {
+            app.fail(&error);
         }
         let context = input.egui_ctx().clone();
         let output = context.run_ui(input.take_egui_input(&window.handle), |ui| {
@@ -164,7 +165,7 @@ impl State {
         laid_out.repaint_delay = root.map_or(Duration::MAX, |output| output.repaint_delay);
     }
 
-    /// Lays out, traces what is to be seen, and draws it.
+    /// Lays out the window, traces the next frame if one is due, and draws.
     fn redraw(&mut self) {
         let title = self.app.title.clone();
         self.lay_out();
@@ -174,22 +175,22 @@ impl State {
         }
         let drawn = app.draw(Instant::now());
         if let Some(picture) = &drawn.picture {
-            window.presenter.take(&window.on.device, &window.on.queue, picture);
+            window.presenter.set_picture(&window.gpu.device, &window.gpu.queue, picture);
         }
         let LaidOut { viewport, pixels_per_point, repaint_delay, .. } = *laid_out;
         let jobs = input.egui_ctx().tessellate(std::mem::take(&mut laid_out.shapes), pixels_per_point);
         let textures = std::mem::take(&mut laid_out.textures);
-        let presented = window.draw(Painted { jobs, textures, pixels_per_point }, viewport);
+        let presented = window.draw(EguiOutput { jobs, textures, pixels_per_point }, viewport);
 
-        let loading_wants = app.loading().map(|_| Duration::from_millis(30));
-        let soonest = [Some(repaint_delay), loading_wants, drawn.again].into_iter().flatten().min();
+        let loading_poll = app.loading().map(|_| Duration::from_millis(30));
+        let soonest = [Some(repaint_delay), loading_poll, drawn.again].into_iter().flatten().min();
         self.wake = soonest.and_then(|delay| Instant::now().checked_add(delay));
-        let is_resting = drawn.picture.is_none() && drawn.again.is_none() && loading_wants.is_none();
-        self.tell(viewport, presented && is_resting);
+        let is_resting = drawn.picture.is_none() && drawn.again.is_none() && loading_poll.is_none();
+        self.log_events(viewport, presented && is_resting);
     }
 
-    /// Logs what happened, and what is shown once nothing more will happen to it.
-    fn tell(&mut self, viewport: Viewport, is_resting: bool) {
+    /// Logs the events and, once the picture is final, its viewport and detail.
+    fn log_events(&mut self, viewport: Viewport, is_resting: bool) {
         let mut events = self.app.take_events();
         let overlay = self.app.settings.overlay;
         let shown = self.app.drawing.detail().map(|detail| (viewport, detail, overlay));
@@ -200,10 +201,10 @@ impl State {
         {
             self.logged = shown;
             let (block, rays) = (detail.block, detail.rays);
-            let place = [x, y, width, height];
+            let rect = [x, y, width, height];
             let event = "at rest";
             events.push(json!({
-                "event": event, "viewport": place, "block": block, "rays": rays, "overlay": overlay,
+                "event": event, "viewport": rect, "block": block, "rays": rays, "overlay": overlay,
             }));
         }
         if self.log {
@@ -212,7 +213,7 @@ impl State {
     }
 }
 
-/// A line on standard output; where nobody reads it, there is no harm.
+/// Prints a line to standard output; a closed pipe is ignored.
 fn print(event: &Value) {
     let mut output = std::io::stdout().lock();
     let _ = writeln!(output, "{event}").and_then(|()| output.flush());

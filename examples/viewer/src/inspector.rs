@@ -1,20 +1,21 @@
-//! What is selected, in detail, to be edited; and how everything is seen.
+//! The right panel: settings of the view, and properties of the selected node.
 
 use egui::{ComboBox, DragValue, Grid, Label, RichText, Sense, Slider, TextEdit, Ui, Vec2, vec2};
 use glam::{DQuat, DVec3, EulerRot};
 use ropewalk::{Core, DeviceChoice, NodeKey, Scene, Transform, View};
 
 use crate::app::App;
+use crate::cameras_and_lights::camera_name;
 use crate::detail::Detail;
 use crate::edit::Edit;
-use crate::stage::camera_name;
-use crate::{signs, theme};
+use crate::{node_icons, theme};
 
-/// What is being typed or turned, which the scene does not hold.
+/// Edit state of widgets that is not in the scene.
 #[derive(Default)]
 pub(crate) struct Inspector {
+    /// The node whose name is edited, and the text so far.
     name: Option<(NodeKey, String)>,
-    /// Angles in degrees, and the rotation that they stand for: other angles may stand for it too.
+    /// A rotation, and the Euler angles in degrees by which it was typed in: others would give the same rotation.
     angles: Option<(DQuat, DVec3)>,
 }
 
@@ -40,8 +41,8 @@ impl Inspector {
         };
         let core = core.clone();
         ui.horizontal(|ui| {
-            let (sign, _) = ui.allocate_exact_size(Vec2::splat(2.0 * signs::RADIUS), Sense::hover());
-            signs::paint(ui.painter(), sign.center(), core.kind(), 1.0);
+            let (icon, _) = ui.allocate_exact_size(Vec2::splat(2.0 * node_icons::RADIUS), Sense::hover());
+            node_icons::paint(ui.painter(), icon.center(), core.kind(), 1.0);
             ui.strong(core.kind().name());
             ui.add(Label::new(RichText::new(describe(&app.scene, node, &core)).weak()).truncate());
         });
@@ -110,7 +111,7 @@ impl Inspector {
         }
     }
 
-    /// The angles last typed, as long as they stand for this rotation.
+    /// The Euler angles in degrees: those typed last if they give this rotation.
     fn angles_of(&mut self, rotation: DQuat) -> DVec3 {
         match self.angles {
             Some((of, angles)) if of.abs_diff_eq(rotation, 1e-12) => angles,
@@ -130,7 +131,7 @@ fn rotation_of(degrees: DVec3) -> DQuat {
     DQuat::from_euler(EulerRot::YXZ, y, x, z)
 }
 
-/// Three numbers; whether one was changed.
+/// A row of three numbers; returns whether one was changed.
 fn row(ui: &mut Ui, label: &str, value: &mut DVec3, speed: f64, decimals: usize) -> bool {
     ui.label(label);
     let mut changed = false;
@@ -142,7 +143,7 @@ fn row(ui: &mut Ui, label: &str, value: &mut DVec3, speed: f64, decimals: usize)
     changed
 }
 
-/// Thirty-two switches; the new mask if one was thrown.
+/// Checkboxes for the 32 bits of a mask; returns the new mask if it changed.
 fn mask_editor(ui: &mut Ui, label: &str, mask: u32) -> Option<u32> {
     const SIZE: f32 = 12.0;
     const GAP: f32 = 3.0;
@@ -160,8 +161,8 @@ fn mask_editor(ui: &mut Ui, label: &str, mask: u32) -> Option<u32> {
     });
     let (area, _) = ui.allocate_exact_size(vec2(16.0 * (SIZE + GAP), 2.0 * (SIZE + GAP)), Sense::hover());
     for bit in 0..u32::BITS {
-        let place = vec2((bit % 16) as f32, (bit / 16) as f32) * (SIZE + GAP);
-        let rect = egui::Rect::from_min_size(area.min + place, vec2(SIZE, SIZE));
+        let offset = vec2((bit % 16) as f32, (bit / 16) as f32) * (SIZE + GAP);
+        let rect = egui::Rect::from_min_size(area.min + offset, vec2(SIZE, SIZE));
         let response = ui.interact(rect, ui.scope_id().with((label, bit)), Sense::click());
         let is_set = mask >> bit & 1 == 1;
         let color = match (is_set, response.hovered()) {
@@ -178,7 +179,7 @@ fn mask_editor(ui: &mut Ui, label: &str, mask: u32) -> Option<u32> {
     edited.filter(|&new| new != mask)
 }
 
-/// What a core has to say.
+/// Properties of a core, in words.
 fn describe(scene: &Scene, node: NodeKey, core: &Core) -> String {
     match core {
         Core::Geometry { geometry, .. } => {
@@ -194,7 +195,7 @@ fn describe(scene: &Scene, node: NodeKey, core: &Core) -> String {
     }
 }
 
-/// Device, camera, depth and rays.
+/// Settings of the view: device, camera, depth, rays and ray mask.
 fn view(ui: &mut Ui, app: &mut App) {
     Grid::new("view").num_columns(2).spacing(vec2(12.0, 5.0)).show(ui, |ui| {
         ui.label("Device");

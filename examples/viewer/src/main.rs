@@ -1,12 +1,14 @@
 //! The interactive viewer: opens a glTF file or a scene made in code, to look around, pick, drag, edit and undo.
 //!
-//! `cargo run --release -p ropewalk-viewer -- SCENE.glb`; `--help` lists what else can be said.
+//! `cargo run --release -p ropewalk-viewer -- SCENE.glb`; `--help` lists the options.
 
 mod app;
 mod arguments;
 #[path = "../../render/builtin/mod.rs"]
 mod builtin;
 mod camera_control;
+#[path = "../../render/cameras_and_lights.rs"]
+mod cameras_and_lights;
 mod detail;
 mod device;
 mod drag;
@@ -14,16 +16,14 @@ mod drawing;
 mod edit;
 mod event_loop;
 mod inspector;
+mod loaded_scene;
 mod messages;
+mod node_icons;
 mod overlay;
 mod present;
 mod projection;
 #[cfg(test)]
 mod session_tests;
-mod signs;
-#[path = "../../render/stage.rs"]
-mod stage;
-mod subject;
 mod theme;
 mod tree_panel;
 mod ui;

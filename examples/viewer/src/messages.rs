@@ -1,8 +1,8 @@
-//! What the user is told, in a corner of the window.
+//! Messages to the user, in a corner of the window.
 
 use std::time::{Duration, Instant};
 
-/// One line.
+/// One message.
 #[derive(Clone, Debug)]
 pub(crate) struct Message {
     pub(crate) text: String,
@@ -11,16 +11,16 @@ pub(crate) struct Message {
     since: Instant,
 }
 
-/// The lines that are shown, the latest last.
+/// The messages that are shown, the latest last.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Messages {
     shown: Vec<Message>,
 }
 
-/// How long what is no error is shown.
-const SHOWN: Duration = Duration::from_secs(5);
-/// More than these push the oldest out.
-const MOST: usize = 6;
+/// How long a message that is not an error is shown.
+const LIFETIME: Duration = Duration::from_secs(5);
+/// At most so many messages are shown: a new one removes the oldest.
+const MAX_MESSAGES: usize = 6;
 
 impl Messages {
     pub(crate) fn tell(&mut self, text: impl Into<String>) {
@@ -31,16 +31,16 @@ impl Messages {
         self.push(text.into(), true);
     }
 
-    /// The messages, without those that were shown long enough.
+    /// The messages; those that have been shown long enough are removed.
     pub(crate) fn current(&mut self, now: Instant) -> &[Message] {
-        self.shown.retain(|message| message.is_error || now.saturating_duration_since(message.since) < SHOWN);
+        self.shown.retain(|message| message.is_error || now.saturating_duration_since(message.since) < LIFETIME);
         &self.shown
     }
 
-    /// How long from now on the messages stay as they are.
-    pub(crate) fn settled_for(&self, now: Instant) -> Option<Duration> {
-        let passing = self.shown.iter().filter(|message| !message.is_error);
-        passing.map(|message| SHOWN.saturating_sub(now.saturating_duration_since(message.since))).min()
+    /// The time from now until the next message disappears.
+    pub(crate) fn time_to_next_expiry(&self, now: Instant) -> Option<Duration> {
+        let expiring = self.shown.iter().filter(|message| !message.is_error);
+        expiring.map(|message| LIFETIME.saturating_sub(now.saturating_duration_since(message.since))).min()
     }
 
     pub(crate) fn dismiss(&mut self, index: usize) {
@@ -50,10 +50,10 @@ impl Messages {
     }
 
     fn push(&mut self, text: String, is_error: bool) {
-        // A message that comes again is the same message.
+        // A message with the same text replaces the earlier one.
         self.shown.retain(|message| message.text != text);
         self.shown.push(Message { text, is_error, since: Instant::now() });
-        if self.shown.len() > MOST {
+        if self.shown.len() > MAX_MESSAGES {
             self.shown.remove(0);
         }
     }
@@ -64,16 +64,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn news_pass_and_errors_stay() {
+    fn messages_expire_and_errors_stay() {
         let mut messages = Messages::default();
-        messages.tell("news");
+        messages.tell("a message");
         messages.fail("an error");
         messages.fail("an error");
         let now = Instant::now();
         assert_eq!(messages.current(now).len(), 2);
-        let later = now + messages.settled_for(now).unwrap();
+        let later = now + messages.time_to_next_expiry(now).unwrap();
         assert!(messages.current(later).iter().all(|message| message.is_error));
-        assert_eq!(messages.settled_for(later), None);
+        assert_eq!(messages.time_to_next_expiry(later), None);
         messages.dismiss(0);
         messages.dismiss(0);
         assert!(messages.current(later).is_empty());

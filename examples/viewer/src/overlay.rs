@@ -1,4 +1,4 @@
-//! What is drawn over the picture: the box of the selection, the frame report, the frame times, messages.
+//! Overlays of the picture: the box of the selection, the frame report, the frame times, messages.
 
 use std::time::{Duration, Instant};
 
@@ -7,11 +7,11 @@ use glam::DVec2;
 use ropewalk::FrameReport;
 
 use crate::app::App;
-use crate::detail::{Detail, FLUENT};
-use crate::drawing::MOST_TIMES;
+use crate::detail::{Detail, FRAME_TIME_TARGET};
+use crate::drawing::MAX_TIMES;
 use crate::theme;
 
-/// Draws it all. `rect` is where the picture is, `scale` the pixels a point.
+/// Draws all overlays. `rect` is the rectangle of the picture in points, `scale` the number of pixels per point.
 pub(crate) fn show(ui: &mut Ui, app: &mut App, rect: Rect, scale: f32) {
     if app.settings.overlay {
         selection(&ui.painter_at(rect), app, rect, scale);
@@ -25,7 +25,7 @@ fn selection(painter: &Painter, app: &mut App, rect: Rect, scale: f32) {
     let Some(corners) = app.selected_corners() else { return };
     let projection = app.projection();
     let at = |position: DVec2| rect.min + vec2(position.x as f32, position.y as f32) / scale;
-    // Corners whose numbers differ in one bit share an edge.
+    // Corners whose indices differ in one bit share an edge.
     for (from, bit) in
         (0..8).flat_map(|corner| [1, 2, 4].map(|bit| (corner, bit))).filter(|(from, bit)| from & bit == 0)
     {
@@ -37,7 +37,7 @@ fn selection(painter: &Painter, app: &mut App, rect: Rect, scale: f32) {
     }
 }
 
-/// What the last frame cost, and how long the last ones took.
+/// The report of the last frame, and the times of the last frames.
 fn report(ui: &Ui, app: &App, rect: Rect) {
     let Some(report) = &app.drawing.report else { return };
     Area::new(Id::unique("report")).fixed_pos(rect.min + vec2(10.0, 10.0)).interactable(false).show(ui.ctx(), |ui| {
@@ -65,11 +65,8 @@ fn lines(report: &FrameReport, detail: Option<Detail>) -> Vec<String> {
         format!("{} · {name}", report.device.executor),
         rays,
         format!("{} instances · {} triangles", grouped(compile.instances), grouped(compile.instanced_triangles)),
-        format!("top level {}", compile.tlas),
-        format!(
-            "bottom level: {} built, {} refitted of {}",
-            compile.blas_built, compile.blas_refitted, compile.blas_count
-        ),
+        format!("TLAS {}", compile.tlas),
+        format!("BLAS: {} built, {} refitted of {}", compile.blas_built, compile.blas_refitted, compile.blas_count),
         format!("{} bytes uploaded", grouped(report.uploaded_bytes as usize)),
         format!(
             "update {} · build {} · upload {}",
@@ -83,26 +80,26 @@ fn lines(report: &FrameReport, detail: Option<Detail>) -> Vec<String> {
 /// A bar for each of the last frames, the latest at the right.
 fn graph(ui: &mut Ui, times: impl DoubleEndedIterator<Item = Duration> + Clone) {
     const HEIGHT: f32 = 44.0;
-    const BAR: f32 = 252.0 / MOST_TIMES as f32;
+    const BAR: f32 = 252.0 / MAX_TIMES as f32;
 
-    // A bar that is longer than that is cut off.
-    let longest = times.clone().max().unwrap_or_default().clamp(2 * FLUENT, 6 * FLUENT);
-    let (area, _) = ui.allocate_exact_size(vec2(BAR * MOST_TIMES as f32, HEIGHT), Sense::hover());
+    // Longer bars are clipped.
+    let longest = times.clone().max().unwrap_or_default().clamp(2 * FRAME_TIME_TARGET, 6 * FRAME_TIME_TARGET);
+    let (area, _) = ui.allocate_exact_size(vec2(BAR * MAX_TIMES as f32, HEIGHT), Sense::hover());
     let painter = ui.painter_at(area);
     painter.rect_filled(area, 2.0, Color32::from_black_alpha(90));
     let height = |time: Duration| HEIGHT * time.as_secs_f32() / longest.as_secs_f32();
     for (age, time) in times.clone().rev().enumerate() {
         let right = area.right() - age as f32 * BAR;
         let top = area.bottom() - height(time).clamp(1.0, HEIGHT);
-        let color = if time > FLUENT { theme::ACCENT } else { Color32::from_rgb(0x8F, 0xC9, 0x8A) };
+        let color = if time > FRAME_TIME_TARGET { theme::ACCENT } else { Color32::from_rgb(0x8F, 0xC9, 0x8A) };
         painter.rect_filled(Rect::from_min_max(pos2(right - BAR, top), pos2(right - 0.4, area.bottom())), 0.0, color);
     }
-    let line = area.bottom() - height(FLUENT);
+    let line = area.bottom() - height(FRAME_TIME_TARGET);
     painter.hline(area.x_range(), line, Stroke::new(1.0, theme::WEAK.gamma_multiply(0.6)));
     let text = |at: Pos2, align, text: String| {
         painter.text(at, align, text, egui::FontId::proportional(10.5), theme::TEXT);
     };
-    text(pos2(area.left() + 3.0, line - 1.0), Align2::LEFT_BOTTOM, milliseconds(FLUENT));
+    text(pos2(area.left() + 3.0, line - 1.0), Align2::LEFT_BOTTOM, milliseconds(FRAME_TIME_TARGET));
     if let Some(last) = times.last() {
         text(area.left_top() + vec2(3.0, 2.0), Align2::LEFT_TOP, format!("last frame {}", milliseconds(last)));
     }
@@ -113,14 +110,14 @@ fn messages(ui: &Ui, app: &mut App, rect: Rect) {
     let loading = app.loading().map(|title| format!("Loading {title} …"));
     let now = Instant::now();
     let current = app.messages.current(now).to_vec();
-    if let Some(delay) = app.messages.settled_for(now) {
+    if let Some(delay) = app.messages.time_to_next_expiry(now) {
         ui.ctx().request_repaint_after(delay);
     }
     if loading.is_none() && current.is_empty() {
         return;
     }
-    let place = rect.left_bottom() + vec2(10.0, -10.0);
-    let area = Area::new(Id::unique("messages")).pivot(Align2::LEFT_BOTTOM).fixed_pos(place);
+    let position = rect.left_bottom() + vec2(10.0, -10.0);
+    let area = Area::new(Id::unique("messages")).pivot(Align2::LEFT_BOTTOM).fixed_pos(position);
     area.show(ui.ctx(), |ui| {
         ui.set_max_width((rect.width() - 20.0).clamp(80.0, 640.0));
         if let Some(loading) = loading {
@@ -154,7 +151,7 @@ fn milliseconds(time: Duration) -> String {
     }
 }
 
-/// A number with its thousands apart.
+/// A number with its digits in groups of three.
 fn grouped(number: usize) -> String {
     let digits = number.to_string();
     let groups: Vec<_> = digits.as_bytes().rchunks(3).rev().map(String::from_utf8_lossy).collect();

@@ -1,4 +1,4 @@
-//! Shows traced frames: a pass that filters, tone maps and encodes them for the window.
+//! Presentation of traced frames: a pass that filters, tone maps and encodes them for the window.
 
 use ropewalk::image::Image;
 use wgpu::util::DeviceExt as _;
@@ -6,7 +6,7 @@ use wgpu::util::DeviceExt as _;
 use crate::drawing::Picture;
 use crate::viewport::Viewport;
 
-/// The pass and the frame that it shows.
+/// The pass, and the bind group of the frame that it shows.
 pub(crate) struct Presenter {
     pipeline: wgpu::RenderPipeline,
     viewport: wgpu::Buffer,
@@ -14,7 +14,7 @@ pub(crate) struct Presenter {
 }
 
 impl Presenter {
-    /// For windows of this format, which must not encode colours by itself.
+    /// A presenter for windows of this format, which must not be an sRGB format: the pass encodes.
     pub(crate) fn new(device: &wgpu::Device, format: wgpu::TextureFormat) -> Self {
         let shader = device.create_shader_module(wgpu::include_wgsl!("present.wgsl"));
         let pipeline = device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
@@ -47,8 +47,8 @@ impl Presenter {
         Self { pipeline, viewport, shown: None }
     }
 
-    /// Takes the next frame.
-    pub(crate) fn take(&mut self, device: &wgpu::Device, queue: &wgpu::Queue, picture: &Picture) {
+    /// Sets the frame that is shown.
+    pub(crate) fn set_picture(&mut self, device: &wgpu::Device, queue: &wgpu::Queue, picture: &Picture) {
         let texture = match picture {
             Picture::Texture(texture) => texture,
             Picture::Image(image) => &upload(device, queue, image),
@@ -81,7 +81,7 @@ fn pipeline_layout(device: &wgpu::Device) -> wgpu::PipelineLayout {
     let entry =
         |binding, ty| wgpu::BindGroupLayoutEntry { binding, visibility: wgpu::ShaderStages::FRAGMENT, ty, count: None };
     let frame = wgpu::BindingType::Texture {
-        // A format of 32 bits a channel cannot be filtered everywhere.
+        // Not every device can filter a format of 32 bits a channel.
         sample_type: wgpu::TextureSampleType::Float { filterable: false },
         view_dimension: wgpu::TextureViewDimension::D2,
         multisampled: false,
@@ -102,7 +102,7 @@ fn pipeline_layout(device: &wgpu::Device) -> wgpu::PipelineLayout {
     })
 }
 
-/// An image of main memory as the texture that a GPU would have traced.
+/// Uploads an image to a texture of the format that a GPU traces to.
 fn upload(device: &wgpu::Device, queue: &wgpu::Queue, image: &Image) -> wgpu::Texture {
     let size = wgpu::Extent3d { width: image.width, height: image.height, depth_or_array_layers: 1 };
     let descriptor = wgpu::TextureDescriptor {

@@ -1,4 +1,5 @@
-// Shows a traced frame: filtered to the window's pixels, tone mapped and sRGB encoded as `ropewalk::image` does it.
+// Presents a traced frame: filtered to the window's pixels, tone mapped and sRGB encoded, with the functions of
+// `ropewalk::image`.
 
 struct Viewport {
     // In pixels of the window.
@@ -11,7 +12,7 @@ struct Viewport {
 
 @vertex
 fn vertex(@builtin(vertex_index) index: u32) -> @builtin(position) vec4f {
-    // One triangle over everything.
+    // One triangle that covers the viewport.
     return vec4f(select(-1.0, 3.0, index == 1u), select(-1.0, 3.0, index == 2u), 0.0, 1.0);
 }
 
@@ -29,7 +30,7 @@ fn fragment(@builtin(position) position: vec4f) -> @location(0) vec4f {
     return vec4f(srgb(neutral(linear)), 1.0);
 }
 
-// The mean of the rays of a pixel.
+// Mean radiance of the rays of a pixel.
 fn mean(pixel: vec2i, rays: vec2i) -> vec3f {
     var sum = vec3f(0.0);
     for (var y = 0; y < rays.y; y++) {
@@ -40,7 +41,7 @@ fn mean(pixel: vec2i, rays: vec2i) -> vec3f {
     return sum / f32(rays.x * rays.y);
 }
 
-// Between the four nearest rays. They are tone mapped when mixed: else bright ones would spread.
+// Bilinear interpolation of the four nearest rays. `load` limits their radiance, so that bright ones do not spread.
 fn smoothed(at: vec2f, last: vec2i) -> vec3f {
     let low = floor(at);
     let t = at - low;

@@ -1,26 +1,26 @@
-//! Between pixels of a view and the world.
+//! Conversion between pixels of a view and world space.
 //!
-//! Positions in a picture are in pixels from its upper left corner, so that the middle of the first pixel is at 0.5.
+//! Positions in a picture are in pixels from its upper left corner, so that the center of the first pixel is at 0.5.
 
 use glam::{DAffine3, DVec2, DVec3, dvec2, dvec3};
 use ropewalk::{Camera, View};
 
-/// A half line in the world.
+/// A ray in world space.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Ray {
     pub(crate) origin: DVec3,
-    /// Of length 1.
+    /// A unit vector.
     pub(crate) direction: DVec3,
 }
 
-/// How a view maps the world to its picture.
+/// The projection of a view: from world space to its picture and back.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Projection {
-    /// Without scale.
+    /// A rotation and translation, without scale.
     world_from_view: DAffine3,
-    /// Half of what is seen, at distance 1 (perspective) or anywhere.
+    /// Half the width and height of the image, in world units: at distance 1 (perspective) or at any distance.
     half_extent: DVec2,
-    /// Of the lens, in half extents.
+    /// Lens shift, in half extents.
     shift: DVec2,
     orthographic: bool,
     size: DVec2,
@@ -31,13 +31,13 @@ impl Projection {
         let size = dvec2(f64::from(view.width.max(1)), f64::from(view.height.max(1)));
         let aspect = size.x / size.y;
         let (half_width, half_height, orthographic) = match view.camera {
-            Camera::Perspective { y_fov, aspect: wanted, .. } => {
+            Camera::Perspective { y_fov, aspect: camera_aspect, .. } => {
                 let half_height = (f64::from(y_fov) * 0.5).tan();
-                (half_height * wanted.map_or(aspect, f64::from), half_height, false)
+                (half_height * camera_aspect.map_or(aspect, f64::from), half_height, false)
             }
             Camera::Orthographic { x_mag, y_mag, .. } => (f64::from(x_mag), f64::from(y_mag), true),
         };
-        // The whole of the camera's field is in the picture, whatever the picture's shape.
+        // The whole field of view of the camera is in the image, whatever the image's aspect.
         let half_extent = dvec2(half_width.max(half_height * aspect), half_height.max(half_width / aspect));
         let mut world_from_view = view.world_from_view;
         for axis in 0..3 {
@@ -46,7 +46,7 @@ impl Projection {
         Self { world_from_view, half_extent, shift: view.camera.shift().as_dvec2(), orthographic, size }
     }
 
-    /// What is seen at a position of the picture.
+    /// The camera ray through a position of the picture.
     pub(crate) fn ray(&self, position: DVec2) -> Ray {
         let across = ((position / self.size * 2.0 - 1.0) * dvec2(1.0, -1.0) + self.shift) * self.half_extent;
         let (eye, axes) = (self.world_from_view.translation, self.world_from_view.matrix3);
@@ -58,25 +58,26 @@ impl Projection {
         }
     }
 
-    /// Where the camera looks.
+    /// The viewing direction, in world space.
     pub(crate) fn forward(&self) -> DVec3 {
         -self.world_from_view.matrix3.z_axis
     }
 
-    /// The size of a pixel's part of the world, at a distance in front of the camera.
+    /// The size of a pixel in world units, at a distance in front of the camera.
     pub(crate) fn pixel_size(&self, distance: f64) -> f64 {
         2.0 * self.half_extent.y / self.size.y * if self.orthographic { 1.0 } else { distance }
     }
 
-    /// A line of the world in the picture: the part of it that is in front of the camera.
+    /// Projects a line segment, clipped to the part in front of the camera; `None` if nothing is.
     pub(crate) fn segment(&self, from: DVec3, to: DVec3) -> Option<[DVec2; 2]> {
-        /// As a part of the distance to the further end.
-        const NEAREST: f64 = 1e-4;
+        /// Distance of the near plane, relative to that of the farther end.
+        const NEAR: f64 = 1e-4;
 
         let [mut from, mut to] = [from, to].map(|point| self.view_from_world(point));
         if !self.orthographic {
-            let near = NEAREST * from.length().max(to.length());
-            let clipped = |behind: DVec3, before: DVec3| behind.lerp(before, (near + behind.z) / (behind.z - before.z));
+            let near = NEAR * from.length().max(to.length());
+            let clipped =
+                |behind: DVec3, in_front: DVec3| behind.lerp(in_front, (near + behind.z) / (behind.z - in_front.z));
             match (-from.z < near, -to.z < near) {
                 (true, true) => return None,
                 (true, false) => from = clipped(from, to),

@@ -1,4 +1,4 @@
-//! Whole sessions without a window: what the pointer and keys do, through egui, and what becomes of the scene.
+//! Whole sessions without a window: pointer and keys through egui, and their effect on the scene.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use serde_json::Value;
 use crate::app::{App, Settings};
 use crate::drag::Moves;
 use crate::edit::Edit;
-use crate::subject::Subject;
+use crate::loaded_scene::LoadedScene;
 use crate::ui::Panels;
 use crate::viewport::Viewport;
 
@@ -38,7 +38,7 @@ impl Session {
             open_path: String::new(),
         };
         let mut app = App::new(DeviceChoice::Cpu, settings, None).unwrap();
-        app.show(Subject::load(None).unwrap());
+        app.show(LoadedScene::load(None).unwrap());
         let context = egui::Context::default();
         let mut session =
             Self { app, panels: Panels::default(), context, viewport: Viewport::default(), events: Vec::new() };
@@ -84,7 +84,7 @@ impl Session {
         self.pass(vec![event(false), Event::ModifiersChanged(Modifiers::NONE)], Vec::new());
     }
 
-    /// Where a part of the picture is in the window.
+    /// The window position of a point of the picture, given as fractions of its width and height.
     fn at(&self, across: f32, down: f32) -> Pos2 {
         let Viewport { x, y, width, height } = self.viewport;
         pos2(x as f32 + width as f32 * across, y as f32 + height as f32 * down)
@@ -94,7 +94,7 @@ impl Session {
         self.events.iter().filter(|event| event["event"] == name).count()
     }
 
-    fn place_of_drum(&self) -> (NodeKey, NodeKey) {
+    fn drum_and_knot(&self) -> (NodeKey, NodeKey) {
         (self.app.scene.find("drum").unwrap(), self.app.scene.find("knot").unwrap())
     }
 }
@@ -104,10 +104,10 @@ fn a_click_selects_and_a_second_drag_moves_what_is_above_as_one_edit() {
     let mut session = Session::new();
     let middle = session.at(0.5, 0.62);
     session.click(middle);
-    let (drum, knot) = session.place_of_drum();
+    let (drum, knot) = session.drum_and_knot();
     assert_eq!(session.app.selection(), Some(drum));
 
-    // Nothing above the drum can move: it stays, and the user is told.
+    // No transform is above the drum: it stays, and a message says so.
     session.drag(middle, middle + vec2(20.0, 0.0));
     assert_eq!((session.count("error"), session.count("moved")), (1, 0));
 
@@ -151,7 +151,7 @@ fn dragging_beside_the_selection_turns_the_camera_only() {
 #[test]
 fn every_kind_of_edit_is_undone_and_done_again() {
     let mut session = Session::new();
-    let (drum, knot) = session.place_of_drum();
+    let (drum, knot) = session.drum_and_knot();
     let turned = ropewalk::Transform::from_translation(glam::DVec3::X);
     for edit in [
         Edit::Rename(drum, "barrel".into()),
@@ -184,7 +184,7 @@ fn every_kind_of_edit_is_undone_and_done_again() {
 #[test]
 fn a_failing_edit_is_told_and_changes_nothing() {
     let mut session = Session::new();
-    let (drum, knot) = session.place_of_drum();
+    let (drum, knot) = session.drum_and_knot();
     let revision = session.app.scene.revision();
     session.app.edit(Edit::Move(drum, ropewalk::Transform::IDENTITY));
     session.app.edit(Edit::Move(knot, ropewalk::Transform::from_scale(glam::DVec3::NAN)));
@@ -215,7 +215,7 @@ fn a_saved_scene_is_opened_as_it_was() {
     let mut session = Session::new();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("edited.ropewalk");
-    let (drum, knot) = session.place_of_drum();
+    let (drum, knot) = session.drum_and_knot();
     session.app.edit(Edit::Rename(drum, "barrel".into()));
     session.app.edit(Edit::Show(knot, false));
     session.app.save(&path);
@@ -225,7 +225,7 @@ fn a_saved_scene_is_opened_as_it_was() {
     assert_eq!(session.app.scene.snapshot(), saved);
 }
 
-/// As the window system hands it over.
+/// A dropped file, as the window system passes it.
 #[derive(Debug)]
 struct Dropped(PathBuf);
 
@@ -265,7 +265,7 @@ fn frames_become_sharp_and_then_rest() {
     }
     assert_eq!(details.last().map(|detail| (detail.block, detail.rays)), Some((1, 1)));
     let revision = session.app.scene.revision();
-    let knot = session.place_of_drum().1;
+    let knot = session.drum_and_knot().1;
     session.app.edit(Edit::Show(knot, false));
     assert_ne!(session.app.scene.revision(), revision);
     assert!(session.app.draw(Instant::now()).picture.is_some(), "an edit is seen");

@@ -1,4 +1,4 @@
-//! Colours: dark, with the gold of rope.
+//! Colours and spacing of the user interface.
 
 use egui::{Color32, Context, CornerRadius, Stroke, Theme, Visuals, vec2};
 
@@ -9,10 +9,10 @@ pub(crate) const ERROR: Color32 = Color32::from_rgb(0xF0, 0x7A, 0x6A);
 pub(crate) const PANEL: Color32 = Color32::from_rgb(0x1B, 0x1D, 0x22);
 pub(crate) const SELECTED: Color32 = Color32::from_rgb(0x4A, 0x3C, 0x22);
 pub(crate) const HOVERED: Color32 = Color32::from_rgb(0x28, 0x2B, 0x32);
-/// Behind text over the picture.
+/// Background of text over the picture.
 pub(crate) const VEIL: Color32 = Color32::from_rgba_premultiplied(12, 13, 16, 205);
 
-/// Makes everything look like that.
+/// Applies the colours and the spacing.
 pub(crate) fn apply(context: &Context) {
     context.set_theme(Theme::Dark);
     let mut visuals = Visuals::dark();

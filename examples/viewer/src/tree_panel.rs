@@ -1,4 +1,4 @@
-//! The tree of nodes. Only rows in sight are laid out, and only what is expanded is walked.
+//! The tree of nodes. Only visible rows are laid out, and only expanded nodes are traversed.
 
 use std::collections::HashSet;
 
@@ -7,25 +7,25 @@ use ropewalk::{Change, ChangeCursor, Changes, NodeKey, ObjectKey, Scene};
 
 use crate::app::App;
 use crate::edit::Edit;
-use crate::{signs, theme};
+use crate::{node_icons, theme};
 
 const ROW_HEIGHT: f32 = 20.0;
 const INDENT: f32 = 12.0;
 /// Deeper rows are not indented further.
-const MOST_INDENTS: usize = 14;
+const MAX_INDENTS: usize = 14;
 
-/// Which nodes are expanded, and the rows that follow from it.
+/// The expanded nodes, and the rows that follow from them.
 #[derive(Default)]
 pub(crate) struct TreePanel {
     expanded: HashSet<NodeKey>,
     filter: String,
     rows: Vec<Row>,
-    /// Tells when the rows have to be listed anew.
+    /// Position in the change log up to which the rows are current.
     cursor: ChangeCursor,
-    /// What the rows were listed for.
+    /// The filter for which the rows were listed.
     listed_filter: String,
     is_stale: bool,
-    /// The selection that was last brought into sight.
+    /// The selection to which the tree was last scrolled.
     revealed: Option<NodeKey>,
 }
 
@@ -49,8 +49,8 @@ impl TreePanel {
         ui.spacing_mut().item_spacing.y = 0.0;
         let mut area = ScrollArea::vertical().auto_shrink(false);
         if let Some(row) = revealed.and_then(|node| self.rows.iter().position(|row| row.node == node)) {
-            let middle = (ui.available_height() - ROW_HEIGHT) * 0.5;
-            area = area.vertical_scroll_offset((row as f32 * ROW_HEIGHT - middle).max(0.0));
+            let above = (ui.available_height() - ROW_HEIGHT) * 0.5;
+            area = area.vertical_scroll_offset((row as f32 * ROW_HEIGHT - above).max(0.0));
         }
         area.show_rows(ui, ROW_HEIGHT, self.rows.len(), |ui, range| {
             for index in range {
@@ -61,7 +61,7 @@ impl TreePanel {
         });
     }
 
-    /// Expands what is above a new selection, which is to be scrolled to.
+    /// Expands the ancestors of a new selection, and returns it, to be scrolled to.
     fn reveal(&mut self, app: &App) -> Option<NodeKey> {
         if self.revealed == app.selection() {
             return None;
@@ -74,14 +74,14 @@ impl TreePanel {
         Some(node)
     }
 
-    /// Lists the rows, if the tree, what is expanded of it, or the filter is another.
+    /// Lists the rows again if the tree, the expanded nodes or the filter have changed.
     fn list(&mut self, scene: &mut Scene) {
         match scene.changes_since(&mut self.cursor) {
             Changes::Everything => {
                 self.expanded = HashSet::from([scene.root()]);
                 self.is_stale = true;
             }
-            Changes::Since(changes) => self.is_stale |= changes.iter().any(reshapes),
+            Changes::Since(changes) => self.is_stale |= changes.iter().any(changes_rows),
         }
         if std::mem::take(&mut self.is_stale) || self.listed_filter != self.filter {
             self.listed_filter.clone_from(&self.filter);
@@ -113,13 +113,13 @@ impl TreePanel {
             let fill = if is_selected { theme::SELECTED } else { theme::HOVERED };
             painter.rect_filled(rect, 3.0, fill);
         }
-        let strength = if is_visible { 1.0 } else { 0.4 };
+        let opacity = if is_visible { 1.0 } else { 0.4 };
         let text_color = if name.is_empty() && !is_selected { theme::WEAK } else { theme::TEXT };
-        let text_color = text_color.gamma_multiply(strength);
-        let x = rect.left() + 14.0 + depth.min(MOST_INDENTS) as f32 * INDENT;
+        let text_color = text_color.gamma_multiply(opacity);
+        let x = rect.left() + 14.0 + depth.min(MAX_INDENTS) as f32 * INDENT;
         let font = FontId::proportional(13.0);
         let at = |x: f32| pos2(x, rect.center().y);
-        signs::paint(&painter, at(x + 6.0), core.kind(), strength);
+        node_icons::paint(&painter, at(x + 6.0), core.kind(), opacity);
         painter.text(at(x + 18.0), Align2::LEFT_CENTER, label, font, text_color);
 
         let eye = Rect::from_center_size(at(rect.right() - 14.0), vec2(20.0, ROW_HEIGHT));
@@ -171,32 +171,32 @@ fn eye_button(ui: &Ui, rect: Rect, node: NodeKey, is_visible: bool, is_near: boo
         (true, true) => theme::WEAK,
         (false, _) => theme::ACCENT,
     };
-    signs::eye(ui.painter(), rect.center(), is_visible, color);
+    node_icons::eye(ui.painter(), rect.center(), is_visible, color);
     response.on_hover_text(if is_visible { "Hide" } else { "Show" })
 }
 
 /// Whether a change may add, remove or move rows.
-fn reshapes((object, change): &(ObjectKey, Change)) -> bool {
+fn changes_rows((object, change): &(ObjectKey, Change)) -> bool {
     matches!(object, ObjectKey::Node(_)) && change.intersects(Change::ADDED | Change::REMOVED | Change::PARENT)
 }
 
 /// The expanded part of the tree, in preorder. O(rows).
 fn tree(scene: &Scene, expanded: &HashSet<NodeKey>) -> Vec<Row> {
     let mut rows = Vec::new();
-    let mut ahead = vec![Row { node: scene.root(), depth: 0 }];
-    while let Some(row) = ahead.pop() {
+    let mut pending = vec![Row { node: scene.root(), depth: 0 }];
+    while let Some(row) = pending.pop() {
         rows.push(row);
         if expanded.contains(&row.node) {
-            let first = ahead.len();
+            let first = pending.len();
             let children = scene.children(row.node).into_iter().flatten();
-            ahead.extend(children.map(|node| Row { node, depth: row.depth + 1 }));
-            ahead[first..].reverse();
+            pending.extend(children.map(|node| Row { node, depth: row.depth + 1 }));
+            pending[first..].reverse();
         }
     }
     rows
 }
 
-/// The nodes whose names, or kinds, contain the text. O(nodes).
+/// The nodes whose names contain the text, and those without a name whose kind is the text. O(nodes).
 fn found(scene: &Scene, text: &str) -> Vec<Row> {
     let text = text.to_lowercase();
     let matches = |node: &NodeKey| {
@@ -213,7 +213,7 @@ mod tests {
 
     use super::*;
 
-    /// A root with a wide node, and a chain, of so many nodes each.
+    /// A scene with a node of `count` children, and a chain of `count` nodes.
     fn large(count: usize) -> (Scene, Vec<NodeKey>) {
         let mut scene = Scene::new();
         let wide = scene.add(scene.root(), Core::Group).unwrap();
@@ -242,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_are_listed_anew_only_where_the_tree_changes() {
+    fn rows_are_listed_again_only_if_the_tree_changes() {
         let (mut scene, chain) = large(10);
         let mut panel = TreePanel::default();
         panel.list(&mut scene);
@@ -250,7 +250,7 @@ mod tests {
         panel.rows.push(marked);
         scene.set_name(chain[1], "other").unwrap();
         panel.list(&mut scene);
-        assert_eq!(panel.rows.last(), Some(&marked), "a name is no reason");
+        assert_eq!(panel.rows.last(), Some(&marked), "a changed name does not list the rows again");
         scene.add(chain[1], Core::Group).unwrap();
         panel.list(&mut scene);
         assert_eq!(panel.rows.len(), 3);

@@ -11,7 +11,7 @@ use crate::theme;
 use crate::tree_panel::TreePanel;
 use crate::viewport::{self, Viewport};
 
-/// What the panels remember.
+/// The state of the panels.
 #[derive(Default)]
 pub(crate) struct Panels {
     tree: TreePanel,
@@ -19,7 +19,7 @@ pub(crate) struct Panels {
 }
 
 impl Panels {
-    /// Lays everything out and does what the user does. Returns where the picture is.
+    /// Lays out the window and handles input. Returns the rectangle of the picture.
     pub(crate) fn show(&mut self, ui: &mut Ui, app: &mut App) -> Viewport {
         app.finish_loading();
         if let Some(path) =
@@ -35,7 +35,7 @@ impl Panels {
             self.inspector.show(ui, app);
         });
         let viewport = CentralPanel::no_frame().show(ui, |ui| viewport::show(ui, app)).inner;
-        // An edit by dragging is one edit, however many steps it had.
+        // A drag is one step of undo, however many edits it consists of.
         if !ui.input(|input| input.pointer.any_down()) {
             app.end_group();
         }
@@ -45,16 +45,16 @@ impl Panels {
 
 const UNDO: KeyboardShortcut = KeyboardShortcut::new(Modifiers::COMMAND, Key::Z);
 const REDO: KeyboardShortcut = KeyboardShortcut::new(Modifiers::COMMAND, Key::Y);
-const REDO_TOO: KeyboardShortcut = KeyboardShortcut::new(Modifiers::COMMAND.plus(Modifiers::SHIFT), Key::Z);
+const REDO_ALTERNATIVE: KeyboardShortcut = KeyboardShortcut::new(Modifiers::COMMAND.plus(Modifiers::SHIFT), Key::Z);
 const SAVE: KeyboardShortcut = KeyboardShortcut::new(Modifiers::COMMAND, Key::S);
 
 fn shortcuts(ui: &Ui, app: &mut App) {
-    // A text field has an undo of its own.
+    // A text field handles undo itself.
     if ui.ctx().egui_wants_keyboard_input() {
         return;
     }
     let pressed = |shortcut| ui.input_mut(|input| input.consume_shortcut(shortcut));
-    if pressed(&REDO_TOO) || pressed(&REDO) {
+    if pressed(&REDO_ALTERNATIVE) || pressed(&REDO) {
         app.redo();
     }
     if pressed(&UNDO) {
@@ -70,9 +70,9 @@ fn bar(ui: &mut Ui, app: &mut App) {
         ui.menu_button("File", |ui| file_menu(ui, app));
         ui.separator();
         let [undo, redo] = app.undoable().map(|name| name.map(str::to_owned));
-        let button = |ui: &mut Ui, sign: &str, what: &str, name: &Option<String>| {
+        let button = |ui: &mut Ui, label: &str, what: &str, name: &Option<String>| {
             let hint = name.as_ref().map_or_else(|| format!("Nothing to {what}"), |name| format!("{what} {name}"));
-            ui.add_enabled(name.is_some(), Button::new(sign))
+            ui.add_enabled(name.is_some(), Button::new(label))
                 .on_hover_text(hint.clone())
                 .on_disabled_hover_text(hint)
                 .clicked()

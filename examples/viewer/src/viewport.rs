@@ -1,4 +1,4 @@
-//! The picture and what the pointer and the keys do in it.
+//! The picture, and input by pointer and keys within it.
 
 use egui::{Key, Modifiers, PointerButton, Pos2, Rect, Response, Sense, Ui};
 use glam::{DVec2, DVec3, dvec2};
@@ -7,7 +7,7 @@ use crate::app::App;
 use crate::drag::{Axis, Moves};
 use crate::overlay;
 
-/// Where the picture is in the window, in pixels.
+/// The rectangle of the picture in the window, in pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Viewport {
     pub(crate) x: u32,
@@ -24,21 +24,21 @@ impl Viewport {
         Self { x, y, width: right.saturating_sub(x), height: bottom.saturating_sub(y) }
     }
 
-    /// The part of it that is in a window of this size.
+    /// Clips it to a window of this size.
     pub(crate) fn within(self, [width, height]: [u32; 2]) -> Self {
         let (x, y) = (self.x.min(width), self.y.min(height));
         Self { x, y, width: self.width.min(width - x), height: self.height.min(height - y) }
     }
 }
 
-/// Takes the room that is left, and does what the user does there.
+/// Fills the remaining space, and handles input there.
 pub(crate) fn show(ui: &mut Ui, app: &mut App) -> Viewport {
     let (rect, scale) = (ui.max_rect(), ui.ctx().pixels_per_point());
     let viewport = Viewport::of(rect, scale);
     let size = [viewport.width, viewport.height];
-    app.look(size);
+    app.update_view(size);
     let response = ui.interact(rect, ui.scope_id().with("picture"), Sense::click_and_drag());
-    // The middle of the pixel that is pointed at.
+    // The center of the pixel under the pointer.
     let position = |at: Pos2| {
         let pixels = (at - rect.min) * scale;
         dvec2(f64::from(pixels.x), f64::from(pixels.y)).floor() + 0.5
@@ -47,7 +47,7 @@ pub(crate) fn show(ui: &mut Ui, app: &mut App) -> Viewport {
     if !ui.ctx().egui_wants_keyboard_input() {
         keys(ui, app);
     }
-    app.look(size);
+    app.update_view(size);
     overlay::show(ui, app, rect, scale);
     viewport
 }
@@ -78,7 +78,7 @@ fn pointer(ui: &Ui, app: &mut App, response: &Response, scale: f32, position: im
         });
         let primary = response.dragged_by(PointerButton::Primary);
         if primary && app.drag_to(position(at), axis) {
-            // Moved.
+            // The drag has moved the selection.
         } else if response.dragged_by(PointerButton::Middle) || (primary && modifiers.shift) {
             let projection = app.projection();
             app.free_camera().pan(pixels, &projection);
@@ -91,7 +91,7 @@ fn pointer(ui: &Ui, app: &mut App, response: &Response, scale: f32, position: im
     if response.drag_stopped() {
         app.end_drag();
     }
-    /// The wheel's way for a step of the zoom, in points.
+    /// Scrolling for a step of the zoom, in points.
     const WHEEL_STEP: f32 = 40.0;
     let wheel = ui.input(|input| input.smooth_scroll_delta().y);
     if response.hovered() && wheel != 0.0 {
@@ -99,19 +99,19 @@ fn pointer(ui: &Ui, app: &mut App, response: &Response, scale: f32, position: im
     }
 }
 
-/// Flying, and the keys that do what buttons do.
+/// Keys: flying, and shortcuts of buttons.
 fn keys(ui: &Ui, app: &mut App) {
-    /// Distances to the point ahead, a second.
+    /// Speed of flight, in distances to the pivot per second.
     const SPEED: f64 = 0.7;
-    /// A frame that took longer counts as one of this length, so that a pause is no leap.
-    const LONGEST_STEP: f32 = 0.1;
+    /// The longest time step, in seconds, so that a slow frame does not make the camera jump.
+    const MAX_STEP: f32 = 0.1;
 
     let (step, seconds) = ui.input(|input| {
         let held = |key| if input.key_down(key) { 1.0 } else { 0.0 };
         let [right, up, back] = [(Key::D, Key::A), (Key::E, Key::Q), (Key::S, Key::W)].map(|(a, b)| held(a) - held(b));
         let speed = if input.modifiers.shift { 4.0 * SPEED } else { SPEED };
-        let still = input.modifiers.command;
-        (if still { DVec3::ZERO } else { DVec3::new(right, up, back) * speed }, input.stable_dt.min(LONGEST_STEP))
+        let is_shortcut = input.modifiers.command;
+        (if is_shortcut { DVec3::ZERO } else { DVec3::new(right, up, back) * speed }, input.stable_dt.min(MAX_STEP))
     });
     if step != DVec3::ZERO {
         app.free_camera().fly(step * f64::from(seconds));

@@ -1,4 +1,4 @@
-//! The window on the GPU: its surface, the picture, and egui over it.
+//! The window: its surface, the picture, and egui over it.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -14,24 +14,24 @@ use crate::viewport::Viewport;
 /// A window that can be drawn to.
 pub(crate) struct Window {
     pub(crate) handle: Arc<winit::window::Window>,
-    pub(crate) on: WindowDevice,
+    pub(crate) gpu: WindowDevice,
     pub(crate) presenter: Presenter,
     surface: wgpu::Surface<'static>,
     configuration: wgpu::SurfaceConfiguration,
     egui: egui_wgpu::Renderer,
-    /// What the driver said outside of any call.
-    complaints: Arc<Mutex<Vec<String>>>,
+    /// Errors that wgpu reported outside of any call.
+    device_errors: Arc<Mutex<Vec<String>>>,
 }
 
-/// What egui wants drawn.
-pub(crate) struct Painted {
+/// The output of egui, ready to be drawn.
+pub(crate) struct EguiOutput {
     pub(crate) jobs: Vec<egui::ClippedPrimitive>,
     pub(crate) textures: egui::TexturesDelta,
     pub(crate) pixels_per_point: f32,
 }
 
 impl Window {
-    /// Makes the window's surface and the best device that can draw to it.
+    /// Makes the surface of a window, and the best device that can draw to it.
     pub(crate) fn new(
         handle: winit::window::Window,
         display: winit::event_loop::OwnedDisplayHandle,
@@ -53,20 +53,20 @@ impl Window {
             ..Default::default()
         }))
         .map_err(|error| error.to_string())?;
-        let complaints = listen(&device);
+        let device_errors = collect_errors(&device);
 
         let size = handle.inner_size();
         let mut configuration = surface
             .get_default_config(&adapter, size.width.max(1), size.height.max(1))
             .ok_or("the GPU cannot draw to this window")?;
-        // The picture is encoded by our own pass, egui's colours by its own.
+        // Both passes, ours and egui's, encode sRGB themselves.
         configuration.format = configuration.format.remove_srgb_suffix();
         configuration.view_formats = Vec::new();
         surface.configure(&device, &configuration);
         let presenter = Presenter::new(&device, configuration.format);
         let egui = egui_wgpu::Renderer::new(&device, configuration.format, RendererOptions::default());
-        let on = WindowDevice { device, queue };
-        Ok(Self { handle, on, presenter, surface, configuration, egui, complaints })
+        let gpu = WindowDevice { device, queue };
+        Ok(Self { handle, gpu, presenter, surface, configuration, egui, device_errors })
     }
 
     pub(crate) fn resize(&mut self, size: PhysicalSize<u32>) {
@@ -74,40 +74,40 @@ impl Window {
         self.configure();
     }
 
-    /// The longest side that a texture may have.
-    pub(crate) fn most_texels(&self) -> usize {
-        self.on.device.limits().max_texture_dimension_2d as usize
+    /// The largest texture dimension.
+    pub(crate) fn max_texture_side(&self) -> usize {
+        self.gpu.device.limits().max_texture_dimension_2d as usize
     }
 
-    /// What the driver said since the last call.
-    pub(crate) fn take_complaints(&self) -> Vec<String> {
-        std::mem::take(&mut *self.complaints.lock().unwrap_or_else(PoisonError::into_inner))
+    /// The errors that wgpu reported since the last call.
+    pub(crate) fn take_device_errors(&self) -> Vec<String> {
+        std::mem::take(&mut *self.device_errors.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
-    /// Draws the picture and what egui has painted; whether it is on its way to the screen.
-    pub(crate) fn draw(&mut self, mut painted: Painted, viewport: Viewport) -> bool {
-        let WindowDevice { device, queue } = &self.on;
-        for (id, deltas) in painted.textures.set.drain() {
+    /// Draws the picture and the output of egui; returns whether it was presented.
+    pub(crate) fn draw(&mut self, mut output: EguiOutput, viewport: Viewport) -> bool {
+        let WindowDevice { device, queue } = &self.gpu;
+        for (id, deltas) in output.textures.set.drain() {
             for delta in deltas {
                 self.egui.update_texture(device, queue, id, &delta);
             }
         }
-        let presented = self.draw_frame(&painted, viewport);
-        for id in painted.textures.free.drain() {
+        let presented = self.draw_frame(&output, viewport);
+        for id in output.textures.free.drain() {
             self.egui.free_texture(&id);
         }
         presented
     }
 
-    fn draw_frame(&mut self, painted: &Painted, viewport: Viewport) -> bool {
+    fn draw_frame(&mut self, output: &EguiOutput, viewport: Viewport) -> bool {
         let Some(target) = self.target() else { return false };
-        let WindowDevice { device, queue } = &self.on;
+        let WindowDevice { device, queue } = &self.gpu;
         let screen = ScreenDescriptor {
             size_in_pixels: [self.configuration.width, self.configuration.height],
-            pixels_per_point: painted.pixels_per_point,
+            pixels_per_point: output.pixels_per_point,
         };
         let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        let mut commands = self.egui.update_buffers(device, queue, &mut encoder, &painted.jobs, &screen);
+        let mut commands = self.egui.update_buffers(device, queue, &mut encoder, &output.jobs, &screen);
         let view = target.texture.create_view(&wgpu::TextureViewDescriptor::default());
         let background = egui::Rgba::from(theme::PANEL);
         let [r, g, b] = [background.r(), background.g(), background.b()].map(f64::from);
@@ -127,7 +127,7 @@ impl Window {
             });
             let mut pass = pass.forget_lifetime();
             self.presenter.draw(queue, &mut pass, viewport.within(screen.size_in_pixels));
-            self.egui.render(&mut pass, &painted.jobs, &screen);
+            self.egui.render(&mut pass, &output.jobs, &screen);
         }
         commands.push(encoder.finish());
         queue.submit(commands);
@@ -136,7 +136,7 @@ impl Window {
         true
     }
 
-    /// What to draw to; `None` while there is nothing to be seen.
+    /// The next texture of the surface; `None` while the window is not visible.
     fn target(&mut self) -> Option<wgpu::SurfaceTexture> {
         if self.configuration.width == 0 || self.configuration.height == 0 {
             return None;
@@ -164,21 +164,21 @@ impl Window {
 
     fn configure(&self) {
         if self.configuration.width > 0 && self.configuration.height > 0 {
-            self.surface.configure(&self.on.device, &self.configuration);
+            self.surface.configure(&self.gpu.device, &self.configuration);
         }
     }
 }
 
-/// Hears what wgpu would otherwise panic about.
-fn listen(device: &wgpu::Device) -> Arc<Mutex<Vec<String>>> {
-    let complaints = Arc::<Mutex<Vec<String>>>::default();
-    let errors = Arc::clone(&complaints);
+/// Collects the errors for which wgpu would panic by default.
+fn collect_errors(device: &wgpu::Device) -> Arc<Mutex<Vec<String>>> {
+    let device_errors = Arc::<Mutex<Vec<String>>>::default();
+    let errors = Arc::clone(&device_errors);
     device.on_uncaptured_error(Arc::new(move |error| {
         errors.lock().unwrap_or_else(PoisonError::into_inner).push(error.to_string());
     }));
-    let losses = Arc::clone(&complaints);
+    let losses = Arc::clone(&device_errors);
     device.set_device_lost_callback(move |_, message| {
         losses.lock().unwrap_or_else(PoisonError::into_inner).push(format!("The GPU was lost: {message}"));
     });
-    complaints
+    device_errors
 }

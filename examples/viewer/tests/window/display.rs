@@ -1,4 +1,4 @@
-//! A screen without a monitor: Xvfb, and the hands and eyes of a user in front of it.
+//! A virtual display (Xvfb) with simulated pointer and keyboard input and screen capture.
 
 use std::io::{BufRead as _, BufReader};
 use std::process::{Child, Command, Stdio};

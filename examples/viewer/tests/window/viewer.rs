@@ -1,4 +1,4 @@
-//! The viewer as a process, and what it says.
+//! The viewer as a process, and the events that it logs.
 
 use std::io::{BufRead as _, BufReader};
 use std::process::{Child, Command, Stdio};

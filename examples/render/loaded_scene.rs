@@ -1,4 +1,4 @@
-//! What is rendered: the scene, and the cameras to see it through.
+//! The scene that is rendered, and its views.
 
 use std::path::Path;
 
@@ -8,21 +8,21 @@ use ropewalk::{NodeKey, Scene, Sky, View};
 
 use crate::arguments::Arguments;
 use crate::builtin;
-use crate::stage::{camera_name, cameras, light_if_dark};
+use crate::cameras_and_lights::{add_light_if_none, camera_name, cameras};
 
-/// A scene and how it is seen.
-pub(crate) struct Subject {
+/// A scene and the view of its first frame.
+pub(crate) struct LoadedScene {
     pub(crate) scene: Scene,
-    /// What the file gave; none for the built-in scene.
+    /// The report of the import; `None` for the built-in scene.
     pub(crate) import: Option<ImportReport>,
     /// The first view; a turntable goes around from there.
     view: View,
-    /// What a turntable turns about.
+    /// The point that a turntable rotates about, in world space.
     center: DVec3,
 }
 
-impl Subject {
-    /// Loads or makes what the arguments ask for.
+impl LoadedScene {
+    /// Loads the requested file, or makes the built-in scene.
     pub(crate) fn load(arguments: &Arguments) -> Result<Self, String> {
         let mut scene = Scene::new();
         let (import, sky) = match &arguments.file {
@@ -36,16 +36,16 @@ impl Subject {
         let mut view = first_view(&mut scene, arguments)?;
         view.sky = sky;
         view.max_depth = arguments.depth;
-        // Only EXR files have room for depth, normals and ids.
+        // Only EXR files can hold depth, normals and ids.
         view.aovs = arguments.output.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("exr"));
-        light_if_dark(&mut scene, &view).map_err(|error| error.to_string())?;
+        add_light_if_none(&mut scene, &view).map_err(|error| error.to_string())?;
 
         let bounds = scene.world_bounds(scene.root()).map_err(|error| error.to_string())?;
         let center = if bounds.is_empty() { DVec3::ZERO } else { bounds.center() };
         Ok(Self { scene, import, view, center })
     }
 
-    /// The view of one of `frames` frames, counted from 0: the camera goes once around the middle of the scene.
+    /// The view of one of `frames` frames, counted from 0: the camera goes once around the center of the scene.
     pub(crate) fn view(&self, frame: u32, frames: u32) -> View {
         let angle = std::f64::consts::TAU * f64::from(frame) / f64::from(frames);
         let turned = DAffine3::from_mat3_translation(DMat3::from_quat(DQuat::from_rotation_y(angle)), self.center)
@@ -55,38 +55,38 @@ impl Subject {
 }
 
 fn import(file: &Path, arguments: &Arguments, scene: &mut Scene) -> Result<ImportReport, String> {
-    let choice = |wanted: &String| match wanted.parse() {
+    let selector = |requested: &String| match requested.parse() {
         Ok(index) => SceneSelector::Index(index),
-        Err(_) => SceneSelector::Name(wanted.clone()),
+        Err(_) => SceneSelector::Name(requested.clone()),
     };
-    let options = ImportOptions { scene: arguments.scene.as_ref().map(choice) };
+    let options = ImportOptions::default().with_scene(arguments.scene.as_ref().map(selector));
     let root = scene.root();
     gltf::import_with(file, &options, scene, root).map_err(|error| error.to_string())
 }
 
-/// Through the camera asked for, else the first, else from where everything is seen.
+/// The requested camera, else the first camera of the scene, else a view that frames the scene.
 fn first_view(scene: &mut Scene, arguments: &Arguments) -> Result<View, String> {
     let (width, height) = arguments.traced_size();
     let cameras = cameras(scene);
-    let chosen = match &arguments.camera {
+    let camera = match &arguments.camera {
         None => cameras.first().copied(),
-        Some(wanted) => Some(choose_camera(scene, &cameras, wanted)?),
+        Some(requested) => Some(choose_camera(scene, &cameras, requested)?),
     };
-    match chosen {
+    match camera {
         Some(camera) => View::from_camera(scene, camera, width, height),
         None => View::framing(scene, width, height),
     }
     .map_err(|error| error.to_string())
 }
 
-fn choose_camera(scene: &Scene, cameras: &[NodeKey], wanted: &str) -> Result<NodeKey, String> {
+fn choose_camera(scene: &Scene, cameras: &[NodeKey], requested: &str) -> Result<NodeKey, String> {
     let names: Vec<&str> = cameras.iter().map(|&camera| camera_name(scene, camera)).collect();
-    let index = wanted.parse().ok().or_else(|| names.iter().position(|name| *name == wanted));
+    let index = requested.parse().ok().or_else(|| names.iter().position(|name| *name == requested));
     index.and_then(|index: usize| cameras.get(index)).copied().ok_or_else(|| {
         let known = names.iter().enumerate().map(|(i, name)| format!("{i} {name:?}")).collect::<Vec<_>>();
         match known.as_slice() {
-            [] => format!("there is no camera {wanted:?}: the scene has none"),
-            _ => format!("there is no camera {wanted:?}; there are: {}", known.join(", ")),
+            [] => format!("there is no camera {requested:?}: the scene has none"),
+            _ => format!("there is no camera {requested:?}; there are: {}", known.join(", ")),
         }
     })
 }

@@ -1,4 +1,4 @@
-//! What a scene needs to be looked at: cameras to choose from, and light.
+//! The cameras of a scene, and a default light for scenes without one.
 
 use glam::{DVec3, Vec3};
 use ropewalk::{Core, Light, NodeKey, Scene, Transform, View};
@@ -8,15 +8,15 @@ pub(crate) fn cameras(scene: &Scene) -> Vec<NodeKey> {
     cores_of_kind(scene, |core| matches!(core, Core::Camera(_)))
 }
 
-/// The name of the camera, or of the node that places it.
+/// The name of the camera node or, if it has none, of its parent.
 pub(crate) fn camera_name(scene: &Scene, camera: NodeKey) -> &str {
     let name = scene.name(camera).unwrap_or_default();
     let parent = scene.parent(camera).ok().flatten();
     if name.is_empty() { parent.and_then(|parent| scene.name(parent).ok()).unwrap_or_default() } else { name }
 }
 
-/// Where there is no light, adds one from above the left shoulder of the viewer.
-pub(crate) fn light_if_dark(scene: &mut Scene, view: &View) -> ropewalk::Result<()> {
+/// Adds a directional key light from the upper left behind the camera, if the scene has no light.
+pub(crate) fn add_light_if_none(scene: &mut Scene, view: &View) -> ropewalk::Result<()> {
     if !cores_of_kind(scene, |core| matches!(core, Core::Light(_))).is_empty() {
         return Ok(());
     }

@@ -1,16 +1,16 @@
-//! The signs of the kinds of nodes, painted: fonts have no such glyphs everywhere.
+//! Icons of node kinds, drawn as shapes because fonts lack the glyphs.
 
 use egui::{Color32, Painter, Pos2, Rect, Shape, Stroke, StrokeKind, Vec2, pos2, vec2};
 use ropewalk::graph::CoreKind;
 
 use crate::theme;
 
-/// Half the size of a sign, in points.
+/// Half the size of an icon, in points.
 pub(crate) const RADIUS: f32 = 6.0;
 
-/// Paints the sign of a kind of node; fainter for a strength below 1.
-pub(crate) fn paint(painter: &Painter, center: Pos2, kind: CoreKind, strength: f32) {
-    let color = |r, g, b| Color32::from_rgb(r, g, b).gamma_multiply(strength);
+/// Paints the icon of a kind of core; `opacity` is 0 to 1.
+pub(crate) fn paint(painter: &Painter, center: Pos2, kind: CoreKind, opacity: f32) {
+    let color = |r, g, b| Color32::from_rgb(r, g, b).gamma_multiply(opacity);
     match kind {
         CoreKind::Transform => cross(painter, center, color(0x7F, 0xB2, 0xE5)),
         CoreKind::Geometry => triangle(painter, center, color(0x8F, 0xC9, 0x8A)),
@@ -25,7 +25,7 @@ pub(crate) fn paint(painter: &Painter, center: Pos2, kind: CoreKind, strength: f
         }
         _ => {
             let rect = Rect::from_center_size(center, Vec2::splat(8.0));
-            let stroke = Stroke::new(1.3, theme::WEAK.gamma_multiply(strength));
+            let stroke = Stroke::new(1.3, theme::WEAK.gamma_multiply(opacity));
             painter.rect_stroke(rect, 1.5, stroke, StrokeKind::Middle);
         }
     }
@@ -47,9 +47,9 @@ pub(crate) fn eye(painter: &Painter, center: Pos2, is_open: bool, color: Color32
 }
 
 fn cross(painter: &Painter, center: Pos2, color: Color32) {
-    for way in [vec2(1.0, 0.0), vec2(0.0, 1.0)] {
-        painter.line_segment([center - way * 5.0, center + way * 5.0], Stroke::new(1.4, color));
-        for end in [way, -way] {
+    for direction in [vec2(1.0, 0.0), vec2(0.0, 1.0)] {
+        painter.line_segment([center - direction * 5.0, center + direction * 5.0], Stroke::new(1.4, color));
+        for end in [direction, -direction] {
             let side = end.rot90() * 1.8;
             let tip = [end * RADIUS, end * 3.2 + side, end * 3.2 - side].map(|offset| center + offset);
             painter.add(Shape::convex_polygon(tip.to_vec(), color, Stroke::NONE));
@@ -65,8 +65,8 @@ fn triangle(painter: &Painter, center: Pos2, color: Color32) {
 fn sun(painter: &Painter, center: Pos2, color: Color32) {
     painter.circle_filled(center, 2.6, color);
     for ray in 0..8 {
-        let way = Vec2::angled(ray as f32 * std::f32::consts::FRAC_PI_4);
-        painter.line_segment([center + way * 4.0, center + way * RADIUS], Stroke::new(1.2, color));
+        let direction = Vec2::angled(ray as f32 * std::f32::consts::FRAC_PI_4);
+        painter.line_segment([center + direction * 4.0, center + direction * RADIUS], Stroke::new(1.2, color));
     }
 }
 

@@ -1,4 +1,5 @@
-//! What is looked at: a file, or the scene made in code. Loaded on a thread of its own, so that the window stays alive.
+//! The scene that is shown: a file, or the scene made in code. It is loaded on a thread, so that the window stays
+//! responsive.
 
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{self, Receiver, TryRecvError};
@@ -6,22 +7,22 @@ use std::sync::mpsc::{self, Receiver, TryRecvError};
 use ropewalk::{Scene, Sky, View, gltf};
 
 use crate::builtin;
-use crate::stage::{cameras, light_if_dark};
+use crate::cameras_and_lights::{add_light_if_none, cameras};
 
-/// A scene and how it is seen at first.
-pub(crate) struct Subject {
+/// A scene and its first view.
+pub(crate) struct LoadedScene {
     pub(crate) scene: Scene,
     /// The name of the file.
     pub(crate) title: String,
     pub(crate) view: View,
-    /// Features of the file that are not honoured.
-    pub(crate) not_honoured: usize,
+    /// The number of warnings about the file.
+    pub(crate) warning_count: usize,
 }
 
-/// A subject that is on its way.
+/// A scene that is being loaded.
 pub(crate) struct Loading {
     pub(crate) title: String,
-    receiver: Receiver<Result<Subject, String>>,
+    receiver: Receiver<Result<LoadedScene, String>>,
 }
 
 impl Loading {
@@ -29,13 +30,13 @@ impl Loading {
     pub(crate) fn begin(path: Option<PathBuf>) -> Self {
         let (sender, receiver) = mpsc::channel();
         let title = title(path.as_deref());
-        // The receiver may be gone: another file was dropped meanwhile.
-        std::thread::spawn(move || drop(sender.send(Subject::load(path.as_deref()))));
+        // Sending fails if the receiver is dropped: another file has been opened meanwhile.
+        std::thread::spawn(move || drop(sender.send(LoadedScene::load(path.as_deref()))));
         Self { title, receiver }
     }
 
-    /// What was loaded, or why it was not, once that is known.
-    pub(crate) fn poll(&self) -> Option<Result<Subject, String>> {
+    /// The loaded scene or the error message; `None` while it is being loaded.
+    pub(crate) fn poll(&self) -> Option<Result<LoadedScene, String>> {
         match self.receiver.try_recv() {
             Ok(outcome) => Some(outcome),
             Err(TryRecvError::Empty) => None,
@@ -44,10 +45,10 @@ impl Loading {
     }
 }
 
-impl Subject {
+impl LoadedScene {
     pub(crate) fn load(path: Option<&Path>) -> Result<Self, String> {
         let mut scene = Scene::new();
-        let (sky, not_honoured) = match path {
+        let (sky, warning_count) = match path {
             Some(path) if path.extension().is_some_and(|extension| extension == "ropewalk") => {
                 scene = Scene::load(path).map_err(|error| error.to_string())?;
                 (Sky::default(), 0)
@@ -64,14 +65,14 @@ impl Subject {
         };
         let mut view = first_view(&mut scene).map_err(|error| error.to_string())?;
         view.sky = sky;
-        light_if_dark(&mut scene, &view).map_err(|error| error.to_string())?;
-        Ok(Self { scene, title: title(path), view, not_honoured })
+        add_light_if_none(&mut scene, &view).map_err(|error| error.to_string())?;
+        Ok(Self { scene, title: title(path), view, warning_count })
     }
 }
 
-/// Through the first camera, else from where everything is seen.
+/// The first camera of the scene, else a view that frames the scene.
 fn first_view(scene: &mut Scene) -> ropewalk::Result<View> {
-    /// The usual shape of a window. A view takes another size later.
+    /// A usual window size. It is replaced by that of the window later.
     const SIZE: (u32, u32) = (1200, 800);
 
     match cameras(scene).first() {
