@@ -24,7 +24,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     let openness = occlusion.compute(&mut renderer, &mut scene)?.ok_or("no GPU traces")?;
     let color = openness.iter().map(|&open| [open, open, open, 1.0]).collect();
-    Image { width, height, color, aovs: None }.save("occlusion.png")?;
+    Image::new(width, height, color).save("occlusion.png")?;
     println!("{}: occlusion.png", renderer.device_info().name);
     Ok(())
 }
