@@ -57,7 +57,7 @@ impl HitCandidate {
 impl Queries<'_> {
     pub(super) fn hit(&self, found: &HitCandidate) -> Option<Hit> {
         let arrays = self.compiler.arrays();
-        let source = self.compiler.instance(found.instance_index, self.hierarchy)?;
+        let source = self.compiler.instance_source(found.instance_index, self.hierarchy)?;
         let placement = PlacedInstance::new(found.instance_index, &arrays.instances[found.instance_index as usize]);
         let triangle = &arrays.triangles[found.triangle as usize];
         let corners = [triangle.v0, triangle.v1, triangle.v2].map(to_dvec3);

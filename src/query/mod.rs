@@ -157,7 +157,7 @@ impl<'a> Queries<'a> {
     /// The nodes of these slots, in the order of the slots.
     fn paths(&self, mut slots: Vec<u32>) -> Vec<NodePath> {
         slots.sort_unstable();
-        slots.into_iter().filter_map(|slot| Some(self.compiler.instance(slot, self.hierarchy)?.path)).collect()
+        slots.into_iter().filter_map(|slot| Some(self.compiler.instance_source(slot, self.hierarchy)?.path)).collect()
     }
 }
 
