@@ -24,7 +24,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     let visibility = occlusion.compute(&mut renderer, &mut scene)?.ok_or("no GPU is used")?;
     let color = visibility.iter().map(|&v| [v, v, v, 1.0]).collect();
-    Image { width, height, color, aovs: None }.save("occlusion.png")?;
+    Image::new(width, height, color).save("occlusion.png")?;
     println!("{}: occlusion.png", renderer.device_info().name);
     Ok(())
 }

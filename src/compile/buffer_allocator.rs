@@ -1,4 +1,4 @@
-//! Where in a device buffer each thing lives.
+//! Allocation of element ranges in a device buffer.
 
 use std::fmt;
 use std::ops::Range;
@@ -10,20 +10,21 @@ use crate::device::DeviceBuffer;
 use crate::error::Resource;
 use crate::{Error, Result};
 
-/// Hands out ranges of one [`DeviceBuffer`]; a released range is used again, best fit first.
+/// Allocates ranges of one [`DeviceBuffer`], best fit first; released ranges are reused.
 pub(super) struct BufferAllocator {
+    /// What errors call the buffer.
     array_name: &'static str,
     allocator: RangeAllocator<u32>,
 }
 
 impl BufferAllocator {
-    /// An arena for the buffer that errors call `what`.
-    pub(super) fn new(what: &'static str) -> Self {
-        // The last index is kept for `layout::NONE`.
-        Self { array_name: what, allocator: RangeAllocator::new(0..u32::MAX) }
+    /// An allocator for an empty buffer, which errors call `array_name`.
+    pub(super) fn new(array_name: &'static str) -> Self {
+        // The last index is never allocated: it is `layout::NONE`.
+        Self { array_name, allocator: RangeAllocator::new(0..u32::MAX) }
     }
 
-    /// Copies `values` into the buffer and returns where they lie; nothing needs no room.
+    /// Copies `values` into a newly allocated range of the buffer and returns the range; `0..0` for no values.
     ///
     /// # Errors
     /// [`Error::Limit`] beyond 2^32 - 1 elements: an index has 32 bits.
@@ -40,7 +41,7 @@ impl BufferAllocator {
         Ok(range)
     }
 
-    /// Stores `values` in the place of others: in the same range if that is as long.
+    /// Replaces the values in `range`: in place if the length is the same, else in a new range.
     ///
     /// # Errors
     /// As [`store`](Self::store); then the range is empty.
@@ -59,7 +60,7 @@ impl BufferAllocator {
         Ok(())
     }
 
-    /// Gives a range back. The buffer ends where the last range in use does.
+    /// Releases a range. The buffer is truncated to the end of the last range in use.
     pub(super) fn release<T: Pod>(&mut self, buffer: &mut DeviceBuffer<T>, range: Range<u32>) {
         if range.is_empty() {
             return;
@@ -72,8 +73,12 @@ impl BufferAllocator {
     }
 }
 
-/// The parts of `values` in some ranges, which must not overlap; empty for one that does.
+/// Mutable slices of `values` for disjoint ranges, in the order of `ranges`. O(n log n) for n ranges.
+///
+/// # Panics
+/// If two ranges overlap.
 pub(super) fn disjoint_mut<'a, T>(values: &'a mut [T], ranges: &[Range<usize>]) -> Vec<&'a mut [T]> {
+    // Visit the ranges in ascending order.
     let mut order: Vec<usize> = (0..ranges.len()).collect();
     order.sort_unstable_by_key(|&i| ranges[i].start);
     let mut parts: Vec<&mut [T]> = Vec::new();
@@ -81,6 +86,7 @@ pub(super) fn disjoint_mut<'a, T>(values: &'a mut [T], ranges: &[Range<usize>]) 
     let (mut rest, mut rest_start) = (values, 0);
     for i in order.into_iter().filter(|&i| !ranges[i].is_empty()) {
         let range = &ranges[i];
+        // Skip the gap before the range, and split the range off.
         let _gap = rest.split_off_mut(..range.start - rest_start);
         parts[i] = rest.split_off_mut(..range.len()).unwrap_or_default();
         rest_start = range.end;
@@ -90,6 +96,6 @@ pub(super) fn disjoint_mut<'a, T>(values: &'a mut [T], ranges: &[Range<usize>]) 
 
 impl fmt::Debug for BufferAllocator {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Arena").field("what", &self.array_name).finish_non_exhaustive()
+        f.debug_struct("BufferAllocator").field("array_name", &self.array_name).finish_non_exhaustive()
     }
 }

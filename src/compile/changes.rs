@@ -1,61 +1,65 @@
-//! What changed since the last compile, from the log.
+//! The scene's changes since the last compile, sorted by the compile step that handles them.
 
 use crate::graph::{Change, Core, GeometryKey, MaterialKey, NodeKey, ObjectKey, Scene};
 
-/// What changed, sorted by what it takes to catch up.
+/// The changes of a scene, sorted by the compile step that handles them.
 #[derive(Debug, Default)]
 pub(super) struct SceneChanges {
-    /// The scene is new to the compiler.
+    /// The compiler has not seen this scene yet: everything must be compiled.
     pub(super) is_new_scene: bool,
-    /// Something did, other than names and the like.
+    /// Something changed that can affect the image (names cannot).
     pub(super) affects_image: bool,
-    /// Nodes whose transform changed: where they are and all below them.
+    /// Nodes whose transform changed: the world matrices of their subtrees are stale.
     pub(super) moved_nodes: Vec<NodeKey>,
-    /// Nodes that became something else: what they are and all below them.
+    /// Nodes whose core, parent, mask or visibility changed: their subtrees must be classified again.
     pub(super) reclassified_nodes: Vec<NodeKey>,
+    /// Geometries that were replaced.
     pub(super) geometries: Vec<GeometryKey>,
+    /// Materials that were replaced.
     pub(super) materials: Vec<MaterialKey>,
-    /// Some texture has other texels.
+    /// Some texture was replaced.
     pub(super) textures: bool,
-    /// Some light has another colour, say.
+    /// Some light's parameters changed (colour, intensity, cone).
     pub(super) lights: bool,
 }
 
 impl SceneChanges {
-    /// Sorts changes. O(changes + users of changed cores).
+    /// Sorts the changes of a scene's log. O(changes + users of changed cores).
     pub(super) fn new(scene: &Scene, changes: Vec<(ObjectKey, Change)>) -> Self {
-        let mut dirty = Self::default();
+        let mut sorted = Self::default();
         for (object, change) in changes {
-            // A name is no part of the image; what comes and goes is seen by those that use it, nodes by the hierarchy.
-            dirty.affects_image |= !Change::NAME.contains(change);
+            sorted.affects_image |= !Change::NAME.contains(change);
+            // Added and removed assets and cores are noticed through the nodes that use them, removed nodes through the
+            // hierarchy.
             if change.contains(Change::REMOVED)
                 || (change.contains(Change::ADDED) && !matches!(object, ObjectKey::Node(_)))
             {
                 continue;
             }
+            // Sort by what the change makes stale.
             match object {
-                ObjectKey::Node(node) => dirty.add_node_change(scene, node, change),
+                ObjectKey::Node(node) => sorted.add_node_change(scene, node, change),
                 ObjectKey::Core(key) => {
                     let users = || scene.users(key).into_iter().flatten();
                     match scene.core(key) {
-                        _ if change.contains(Change::KIND) => dirty.reclassified_nodes.extend(users()),
-                        Ok(Core::Transform(_)) => dirty.moved_nodes.extend(users()),
-                        Ok(Core::Light(_)) => dirty.lights = true,
+                        _ if change.contains(Change::KIND) => sorted.reclassified_nodes.extend(users()),
+                        Ok(Core::Transform(_)) => sorted.moved_nodes.extend(users()),
+                        Ok(Core::Light(_)) => sorted.lights = true,
                         Ok(Core::Group | Core::Camera(_)) | Err(_) => {}
-                        Ok(_) => dirty.reclassified_nodes.extend(users()),
+                        Ok(_) => sorted.reclassified_nodes.extend(users()),
                     }
                 }
-                ObjectKey::Geometry(key) => dirty.geometries.push(key),
-                ObjectKey::Material(key) => dirty.materials.push(key),
-                ObjectKey::Texture(_) => dirty.textures = true,
+                ObjectKey::Geometry(key) => sorted.geometries.push(key),
+                ObjectKey::Material(key) => sorted.materials.push(key),
+                ObjectKey::Texture(_) => sorted.textures = true,
             }
         }
-        dirty
+        sorted
     }
 
     fn add_node_change(&mut self, scene: &Scene, node: NodeKey, change: Change) {
         let own = Change::ADDED | Change::PARENT | Change::CORE | Change::MASK | Change::VISIBILITY;
-        // The children of these are counted: each may be another child than it was.
+        // Switch and LOD nodes address children by index: a change of the child list may change which child is meant.
         let counts = || matches!(scene.node_core(node), Ok(Core::Switch(_) | Core::Lod(_)));
         if change.intersects(own) || (change.contains(Change::CHILDREN) && counts()) {
             self.reclassified_nodes.push(node);

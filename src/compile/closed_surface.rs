@@ -1,4 +1,5 @@
-//! Whether a surface is the skin of a solid: light bends where it enters one, and passes straight through a sheet.
+//! Whether a surface is closed: a transmissive closed surface refracts as a solid, an open one is a thin sheet that
+//! light passes without bending.
 
 use std::collections::HashMap;
 
@@ -6,13 +7,16 @@ use rayon::prelude::*;
 
 use crate::graph::Geometry;
 
-/// How large the square of the boundary's length may be, in units of the area, for a surface that encloses something. A flat
-/// disc has 4 pi, any other sheet more, a closed surface 0; a bottle's neck or a scan's holes are small on this scale.
+/// The largest ratio of the squared boundary length to the surface area at which a surface counts as closed. A closed
+/// surface has 0; a flat disc has 4 pi, the least of all flat sheets; a bottle's opening and the holes of a scan stay
+/// below the limit.
 const MAX_BOUNDARY_RATIO: f64 = 1.0;
 
-/// Whether a geometry encloses a solid, but for holes that are small beside it. Edges of triangles that lie on each other in
-/// opposite directions close a surface; vertices at the same position are the same. O(triangles log triangles).
+/// Whether a geometry is a closed surface, small holes aside. Vertices at equal positions are welded; an edge is
+/// matched if triangles use it equally often in both directions, and unmatched edges form the boundary.
+/// O(triangles log triangles).
 pub(super) fn is_closed_surface(geometry: &Geometry) -> bool {
+    // 1. Weld vertices, and list the directed edges of all triangles, but those of zero length.
     let vertices = weld_vertices(geometry);
     let mut edges: Vec<(u32, u32, bool)> = geometry
         .indices
@@ -22,8 +26,10 @@ pub(super) fn is_closed_surface(geometry: &Geometry) -> bool {
         .filter(|[a, b]| a != b)
         .map(|[a, b]| (a.min(b), a.max(b), a < b))
         .collect();
+    // 2. Sort the directed edges by their ends: all uses of an edge are then consecutive.
     edges.par_sort_unstable();
     let position = |vertex: u32| geometry.positions[vertex as usize].as_dvec3();
+    // 3. The boundary: each unmatched edge, as often as it is unmatched.
     let boundary: f64 = edges
         .chunk_by(|e, f| (e.0, e.1) == (f.0, f.1))
         .map(|uses| {
@@ -32,6 +38,7 @@ pub(super) fn is_closed_surface(geometry: &Geometry) -> bool {
             unmatched as f64 * position(uses[0].0).distance(position(uses[0].1))
         })
         .sum();
+    // 4. Compare its length with the area.
     let area: f64 = geometry
         .indices
         .iter()
@@ -41,11 +48,11 @@ pub(super) fn is_closed_surface(geometry: &Geometry) -> bool {
     boundary * boundary <= MAX_BOUNDARY_RATIO * area
 }
 
-/// For each vertex the first one at its position.
+/// For each vertex, the first vertex at the same position.
 fn weld_vertices(geometry: &Geometry) -> Vec<u32> {
     let mut first_at = HashMap::with_capacity(geometry.positions.len());
     let vertices = geometry.positions.iter().zip(0..);
-    // Adding zero makes the two zeros one.
+    // Adding 0.0 turns -0.0 into 0.0.
     vertices.map(|(p, i)| *first_at.entry(p.to_array().map(|x| (x + 0.0).to_bits())).or_insert(i)).collect()
 }
 
@@ -55,7 +62,7 @@ mod tests {
 
     use super::*;
 
-    /// The faces of a cube that `keep` keeps, each with corners of its own.
+    /// The faces of a cube that `keep` selects; each has its own four vertices.
     fn cube(keep: impl Fn(usize) -> bool) -> Geometry {
         let (mut positions, mut indices) = (Vec::new(), Vec::new());
         let axes = [Vec3::X, Vec3::Y, Vec3::Z, Vec3::NEG_X, Vec3::NEG_Y, Vec3::NEG_Z];
@@ -63,7 +70,7 @@ mod tests {
             let (u, v) = axis.any_orthonormal_pair();
             let first = positions.len() as u32;
             positions.extend([axis - u - v, axis + u - v, axis + u + v, axis - u + v]);
-            // All wind the same way, whichever it is.
+            // All faces wind the same way, seen from outside.
             let [b, d] = if u.cross(v).dot(axis) > 0.0 { [1, 3] } else { [3, 1] };
             indices.extend([[first, first + b, first + 2], [first, first + 2, first + d]]);
         }

@@ -1,6 +1,5 @@
-//! The compiler: reads what changed in a scene and brings the device arrays up to date with the smallest update.
+//! The compiler: runs the phases that bring the device arrays up to date with a scene.
 
-use std::collections::BTreeSet;
 use std::ops::Range;
 use std::time::Instant;
 
@@ -8,52 +7,69 @@ use glam::DVec3;
 
 use super::changes::SceneChanges;
 use super::geometry_table::GeometryTable;
-use super::instance_table::{InstanceSource, InstanceTable, Member, RecordInputs};
+use super::instance_bounds::InstanceBounds;
+use super::instance_record::{RecordInputs, instance_record};
+use super::instance_table::{InstanceTable, Member};
+use super::light_table::LightTable;
 use super::material_table::MaterialTable;
-use super::pack;
 use super::report::CompileReport;
+use super::users::Users;
 use super::view_dependent::ViewDependentState;
 use super::viewpoint::Viewpoint;
 use crate::Result;
 use crate::accel::TlasUpdate;
 use crate::device::{DeviceArrays, Needs};
-use crate::graph::{ChangeCursor, Changes, Core, Hierarchy, Scene, SceneId};
+use crate::graph::{ChangeCursor, Changes, Core, GeometryKey, Hierarchy, MaterialKey, NodePath, Scene, SceneId};
 use crate::math::{Aabb, Bounds};
 
-/// Turns one scene after another, or one scene edit by edit, into [`DeviceArrays`].
+/// Compiles a scene into [`DeviceArrays`], incrementally after each edit; a different scene is compiled from nothing.
 ///
-/// The arrays after any sequence of edits show what those of the same scene compiled from nothing show: the same
-/// instances, each with the same records, boxes, geometry and material. They may lie at other places, and the top level
-/// may have another shape.
+/// The arrays after any sequence of edits are equivalent to those of the same scene compiled from nothing: the same
+/// instances with the same records, boxes, geometry and material. Elements may lie at other indices, and the shape of
+/// the Tlas may differ.
 #[derive(Debug)]
 pub struct Compiler {
-    /// The scene that the arrays hold, and how much of its log they reflect.
+    /// Which scene the arrays hold, and up to which change of its log.
     cursor: ChangeCursor,
-    /// How much of the hierarchy they reflect.
+    /// Up to which state of the hierarchy.
     hierarchy_cursor: HierarchyCursor,
     arrays: DeviceArrays,
+    view: ViewDependentState,
+    instances: InstanceTable,
+    users: Users,
     geometries: GeometryTable,
     materials: MaterialTable,
-    instances: InstanceTable,
-    /// Entries with a light core that are shown.
-    light_entries: BTreeSet<u32>,
-    view: ViewDependentState,
-    /// Who looked last, and at which scene.
-    observer: Option<(SceneId, Viewpoint)>,
-    /// Where the device's world has its origin, in the scene's world.
+    bounds: InstanceBounds,
+    lights: LightTable,
+    /// The viewpoint of the last compile, and its scene.
+    last_viewpoint: Option<(SceneId, Viewpoint)>,
+    /// The render origin: the world position that is (0, 0, 0) in device world space.
     origin: DVec3,
-    /// The report of a compile that finds nothing changed.
+    /// The report that a compile without changes returns.
     report_if_unchanged: CompileReport,
-    /// Compiles of this scene.
+    /// How many times this scene has been compiled.
     compile_count: u64,
 }
 
-/// How much of a hierarchy has been read.
+/// How far a hierarchy has been read: its generation, and how many entries and gaps it had.
 #[derive(Clone, Copy, Debug, Default)]
 struct HierarchyCursor {
     generation: u64,
-    entries: usize,
+    entry_count: usize,
     gap_count: usize,
+}
+
+/// What an instance shows: the path of its node (a node below an instance core appears once for each instance), its
+/// geometry and its material.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct InstanceSource {
+    /// The node with the geometry core.
+    pub path: NodePath,
+    /// Its geometry.
+    pub geometry: GeometryKey,
+    /// Its material: that of the node's core, or of the nearest material group above it.
+    pub material: MaterialKey,
 }
 
 impl Default for Compiler {
@@ -69,101 +85,103 @@ impl Compiler {
             cursor: ChangeCursor::default(),
             hierarchy_cursor: HierarchyCursor::default(),
             arrays: DeviceArrays::default(),
+            view: ViewDependentState::default(),
+            instances: InstanceTable::default(),
+            users: Users::default(),
             geometries: GeometryTable::new(),
             materials: MaterialTable::new(),
-            instances: InstanceTable::default(),
-            light_entries: BTreeSet::new(),
-            view: ViewDependentState::default(),
-            observer: None,
+            bounds: InstanceBounds::default(),
+            lights: LightTable::default(),
+            last_viewpoint: None,
             origin: DVec3::ZERO,
             report_if_unchanged: CompileReport::default(),
             compile_count: 0,
         }
     }
 
-    /// Brings the arrays up to date with `scene`, to be seen by `observer`, or from an eye at some point in the world.
+    /// Brings the arrays up to date with `scene` as seen from a viewpoint (an eye position converts to one).
     ///
-    /// Costs nothing for an unchanged scene, else what changed: a record and a patch of the top level for each instance
-    /// that moved, came or went, a bottom-level build for each new geometry, and a refit or a build for each
-    /// that changed.
+    /// O(1) for an unchanged scene. Otherwise: an instance record for each instance that moved, came or went and one
+    /// update of the Tlas for all of them (patch, refit or rebuild), a Blas build for each new geometry, and a refit or
+    /// a build for each geometry that changed.
     ///
     /// # Errors
-    /// [`Error::Limit`](crate::Error::Limit) if an array would pass what its indices can address, or instances of instances
-    /// are too many. The compiler then starts from nothing with its next scene.
-    pub fn compile(&mut self, scene: &mut Scene, observer: impl Into<Viewpoint>) -> Result<CompileReport> {
-        let observer = observer.into();
-        let result = self.try_compile(scene, &observer);
+    /// [`Error::Limit`](crate::Error::Limit) if an array would exceed what its indices can address, or nested instances
+    /// expand to too many. The compiler then forgets the scene, and the next call compiles from nothing.
+    pub fn compile(&mut self, scene: &mut Scene, viewpoint: impl Into<Viewpoint>) -> Result<CompileReport> {
+        let viewpoint = viewpoint.into();
+        let result = self.try_compile(scene, &viewpoint);
         match result {
-            Ok(_) => self.observer = Some((scene.id(), observer)),
+            Ok(_) => self.last_viewpoint = Some((scene.id(), viewpoint)),
             Err(_) => *self = Self::new(),
         }
         result
     }
 
-    /// Brings the arrays up to date for the observer who looked at `scene` last; if nobody has, from its centre.
+    /// Brings the arrays up to date for the viewpoint last used with `scene`; without one, for the centre of the scene.
     ///
     /// # Errors
     /// As [`compile`](Self::compile).
     pub fn compile_from_last_viewpoint(&mut self, scene: &mut Scene) -> Result<CompileReport> {
-        let last = self.observer.filter(|(id, _)| *id == scene.id());
-        let observer = match last {
-            Some((_, observer)) => observer,
+        let last = self.last_viewpoint.filter(|(id, _)| *id == scene.id());
+        let viewpoint = match last {
+            Some((_, viewpoint)) => viewpoint,
             None => {
                 let center = scene.world_bounds(scene.root())?.center();
                 if center.is_finite() { center } else { DVec3::ZERO }.into()
             }
         };
-        self.compile(scene, observer)
+        self.compile(scene, viewpoint)
     }
 
-    /// The compiled scene.
+    /// The device arrays of the compiled scene.
     pub fn arrays(&self) -> &DeviceArrays {
         &self.arrays
     }
 
-    /// The compiled scene, for an executor to take the dirty ranges from.
+    /// The device arrays of the compiled scene, for an executor to take the dirty ranges from.
     pub fn arrays_mut(&mut self) -> &mut DeviceArrays {
         &mut self.arrays
     }
 
-    /// The render origin: the point of the scene's world at which the device's world has its origin.
+    /// The render origin: the world position that is (0, 0, 0) in device world space.
     pub fn origin(&self) -> DVec3 {
         self.origin
     }
 
-    /// What stands at a place in the `instances` array; `None` where nothing does. `hierarchy` is that of the scene that was
-    /// compiled, unchanged since. O(depth).
-    pub fn instance(&self, slot: u32, hierarchy: &Hierarchy) -> Option<InstanceSource> {
-        let &Member { entry, geometry, material, .. } = self.instances.member(slot)?;
+    /// The node, geometry and material behind an element of the `instances` array; `None` for an unused element.
+    /// `hierarchy` must be that of the compiled scene, unchanged since. O(depth).
+    pub fn instance_source(&self, instance_index: u32, hierarchy: &Hierarchy) -> Option<InstanceSource> {
+        let &Member { entry, geometry, material, .. } = self.instances.member(instance_index)?;
         Some(InstanceSource { path: hierarchy.path(entry as usize), geometry, material })
     }
 
-    fn try_compile(&mut self, scene: &mut Scene, observer: &Viewpoint) -> Result<CompileReport> {
+    fn try_compile(&mut self, scene: &mut Scene, viewpoint: &Viewpoint) -> Result<CompileReport> {
         let start = Instant::now();
         let mut report = self.report_if_unchanged.clone();
-        let dirty = self.read_changes(scene);
+        let changes = self.read_changes(scene);
         self.compile_count += 1;
-        if dirty.is_new_scene {
-            self.origin = observer.eye;
-        } else if !dirty.affects_image && self.view.is_current(observer) && !self.must_rebase(observer.eye) {
+        if changes.is_new_scene {
+            self.origin = viewpoint.eye;
+        } else if !changes.affects_image && self.view.is_current(viewpoint) && !self.must_rebase(viewpoint.eye) {
             report.update_time = start.elapsed();
             return Ok(report);
         }
 
         let (scene, hierarchy) = scene.with_hierarchy()?;
-        // 1. Which entries are instances and lights.
-        let mut shine = self.update_entries(scene, hierarchy, &dirty)?;
-        // 2. What the observer has to do with it.
-        shine |= self.update_view(scene, hierarchy, observer)?;
-        // 3. The geometries and materials that they use.
-        self.update_assets(scene, &dirty, &mut report)?;
-        // 4. Their records, relative to the render origin; and once more where that follows the eye.
-        shine |= dirty.lights;
-        self.write_records(scene, hierarchy, shine, &mut report)?;
-        if self.must_rebase(observer.eye) {
-            self.origin = observer.eye;
+        // 1. Classify changed hierarchy entries as instances or lights.
+        self.update_entries(scene, hierarchy, &changes)?;
+        // 2. Choose levels of detail and orient billboards for the viewpoint.
+        self.update_view(scene, hierarchy, viewpoint)?;
+        // 3. Update the geometries and materials in use.
+        self.update_assets(scene, &changes, &mut report)?;
+        // 4. Write instance and light records relative to the render origin; again if the origin moves to the eye.
+        self.write_records(scene, hierarchy, &mut report)?;
+        if self.must_rebase(viewpoint.eye) {
+            self.origin = viewpoint.eye;
             self.instances.mark_all();
-            self.write_records(scene, hierarchy, true, &mut report)?;
+            self.lights.mark_all();
+            self.write_records(scene, hierarchy, &mut report)?;
             report.rebased = true;
         }
 
@@ -177,7 +195,7 @@ impl Compiler {
     fn read_changes(&mut self, scene: &mut Scene) -> SceneChanges {
         match scene.changes_since(&mut self.cursor) {
             Changes::Everything => {
-                // Keys of different scenes may be equal: nothing of the old one may stay.
+                // Keys of different scenes may coincide: nothing of the old scene may stay.
                 *self = Self { cursor: std::mem::take(&mut self.cursor), ..Self::new() };
                 SceneChanges { is_new_scene: true, ..SceneChanges::default() }
             }
@@ -185,119 +203,114 @@ impl Compiler {
         }
     }
 
-    /// Finds the members and lights among the entries that changed. Whether some light did, too.
-    fn update_entries(&mut self, scene: &Scene, hierarchy: &Hierarchy, dirty: &SceneChanges) -> Result<bool> {
-        let entry_count = hierarchy.nodes().len();
-        let lights = self.light_entries.len();
+    /// Classifies the entries that were added, removed or changed, and marks those that moved.
+    fn update_entries(&mut self, scene: &Scene, hierarchy: &Hierarchy, changes: &SceneChanges) -> Result<()> {
         if self.hierarchy_cursor.generation != hierarchy.generation() {
-            self.hierarchy_cursor =
-                HierarchyCursor { generation: hierarchy.generation(), entries: entry_count, gap_count: 0 };
-            self.light_entries.clear();
-            self.view.clear();
-            let mut members = Vec::new();
-            for entry in 0..entry_count {
-                self.view.classify(scene, hierarchy, entry);
-                members.extend(self.classify_entry(scene, hierarchy, entry));
-            }
-            self.instances.replace_all_members(members.into_iter(), entry_count, &mut self.arrays)?;
-            return Ok(true);
+            return self.replace_all_entries(scene, hierarchy);
         }
-
-        for &gap in
-            &hierarchy.removed_entries()[self.hierarchy_cursor.gap_count.min(hierarchy.removed_entries().len())..]
-        {
+        // 1. Removed entries. One that is newer than the last compile was never classified.
+        let (old_entry_count, entry_count) = (self.hierarchy_cursor.entry_count, hierarchy.nodes().len());
+        let gaps = hierarchy.removed_entries();
+        for &gap in &gaps[self.hierarchy_cursor.gap_count.min(gaps.len())..] {
             self.view.remove_entry(gap);
-            self.light_entries.remove(&gap);
-            if (gap as usize) < self.hierarchy_cursor.entries {
-                self.instances.set_member(gap as usize, None, &mut self.arrays)?;
+            self.lights.remove(gap);
+            if (gap as usize) < old_entry_count {
+                self.instances.set_member(gap as usize, None, &mut self.users)?;
             }
         }
+        // 2. Changed subtrees and new entries: classify them.
         self.instances.set_entry_count(entry_count);
-        let new = self.hierarchy_cursor.entries..entry_count;
-        let changed = dirty.reclassified_nodes.iter().flat_map(|&node| hierarchy.entries(node));
-        let changed = hierarchy.subtrees(changed);
-        self.hierarchy_cursor = HierarchyCursor {
-            entries: entry_count,
-            gap_count: hierarchy.removed_entries().len(),
-            ..self.hierarchy_cursor
-        };
-        let mut shine = self.light_entries.len() != lights;
-        for range in changed.into_iter().chain([new]) {
-            shine |= self.has_lights(&range);
+        let changed = changes.reclassified_nodes.iter().flat_map(|&node| hierarchy.entries(node));
+        let added = old_entry_count..entry_count;
+        for range in hierarchy.subtrees(changed).into_iter().chain([added]) {
             range.clone().for_each(|entry| self.view.classify(scene, hierarchy, entry));
-            self.settle(scene, hierarchy, range.clone())?;
-            shine |= self.has_lights(&range);
+            self.update_members(scene, hierarchy, range)?;
         }
-
-        let moved = dirty.moved_nodes.iter().flat_map(|&node| hierarchy.entries(node));
+        // 3. Moved subtrees: only their records are stale.
+        let moved = changes.moved_nodes.iter().flat_map(|&node| hierarchy.entries(node));
         for range in hierarchy.subtrees(moved) {
-            shine |= self.has_lights(&range);
+            self.lights.mark_range(&range);
             range.for_each(|entry| self.instances.mark_entry(entry));
         }
-        Ok(shine)
+        // 4. Lights whose parameters changed.
+        if changes.lights {
+            self.lights.mark_all();
+        }
+        self.hierarchy_cursor = HierarchyCursor { entry_count, gap_count: gaps.len(), ..self.hierarchy_cursor };
+        Ok(())
     }
 
-    /// Chooses levels of detail and turns billboards. Whether that moved some light.
-    fn update_view(&mut self, scene: &Scene, hierarchy: &Hierarchy, observer: &Viewpoint) -> Result<bool> {
-        let mut shine = false;
-        let choice = self.view.choose_for(scene, hierarchy, observer)?;
-        for range in choice.visibility_ranges {
-            shine |= self.has_lights(&range);
-            self.settle(scene, hierarchy, range.clone())?;
-            shine |= self.has_lights(&range);
+    /// Classifies all entries after the hierarchy was rebuilt, which gave them new indices.
+    fn replace_all_entries(&mut self, scene: &Scene, hierarchy: &Hierarchy) -> Result<()> {
+        let entry_count = hierarchy.nodes().len();
+        self.hierarchy_cursor = HierarchyCursor { generation: hierarchy.generation(), entry_count, gap_count: 0 };
+        self.lights.clear();
+        self.view.clear();
+        let mut members = Vec::new();
+        for entry in 0..entry_count {
+            self.view.classify(scene, hierarchy, entry);
+            members.extend(self.classify_entry(scene, hierarchy, entry));
         }
-        for entry in choice.turned {
-            shine |= self.light_entries.contains(&entry);
-            self.instances.mark_entry(entry as usize);
-        }
-        Ok(shine)
+        self.instances.replace_all_members(members.into_iter(), entry_count, &mut self.users)
     }
 
-    /// Makes the entries in a range members, lights, or neither.
-    fn settle(&mut self, scene: &Scene, hierarchy: &Hierarchy, range: Range<usize>) -> Result<()> {
-        for entry in range {
-            let member = self.classify_entry(scene, hierarchy, entry);
-            self.instances.set_member(entry, member, &mut self.arrays)?;
+    /// Chooses levels of detail and orients billboards. What that shows, hides or moves is classified or marked.
+    fn update_view(&mut self, scene: &Scene, hierarchy: &Hierarchy, viewpoint: &Viewpoint) -> Result<()> {
+        let changes = self.view.choose_for(scene, hierarchy, viewpoint)?;
+        for range in changes.visibility_ranges {
+            self.update_members(scene, hierarchy, range)?;
+        }
+        for entry in changes.moved_entries.into_iter().map(|entry| entry as usize) {
+            self.lights.mark_range(&(entry..entry + 1));
+            self.instances.mark_entry(entry);
         }
         Ok(())
     }
 
-    /// The member that an entry is, if it is one; a light is noted.
+    /// Classifies the entries in a range again: each becomes an instance, a light or neither.
+    fn update_members(&mut self, scene: &Scene, hierarchy: &Hierarchy, range: Range<usize>) -> Result<()> {
+        for entry in range {
+            let member = self.classify_entry(scene, hierarchy, entry);
+            self.instances.set_member(entry, member, &mut self.users)?;
+        }
+        Ok(())
+    }
+
+    /// The instance that an entry shows, if it shows one. A visible light is added to the light table, and an entry
+    /// that is none is removed from it.
     fn classify_entry(&mut self, scene: &Scene, hierarchy: &Hierarchy, entry: usize) -> Option<Member> {
         let node = hierarchy.nodes()[entry];
-        let placed = &hierarchy.resolved()[entry];
+        let resolved = &hierarchy.resolved()[entry];
         // A gap has no core.
-        let core = scene.node_core(node).ok().filter(|_| placed.visible && self.view.is_shown(entry));
+        let core = scene.node_core(node).ok().filter(|_| resolved.visible && self.view.is_shown(entry));
         match core {
-            Some(Core::Light(_)) => drop(self.light_entries.insert(entry as u32)),
-            _ => drop(self.light_entries.remove(&(entry as u32))),
+            Some(Core::Light(_)) => self.lights.insert(entry as u32),
+            _ => self.lights.remove(entry as u32),
         }
         match *core? {
             Core::Geometry { geometry, material } => {
-                let material = placed.material.unwrap_or(material);
+                let material = resolved.material.unwrap_or(material);
                 Some(Member { entry: entry as u32, node, geometry, material })
             }
             _ => None,
         }
     }
 
-    fn has_lights(&self, range: &Range<usize>) -> bool {
-        self.light_entries.range(range.start as u32..range.end as u32).next().is_some()
-    }
-
-    /// Frees the geometries and materials that no member uses and makes those that one misses.
-    fn update_assets(&mut self, scene: &Scene, dirty: &SceneChanges, report: &mut CompileReport) -> Result<()> {
-        if dirty.textures || !dirty.materials.is_empty() || self.instances.materials().changed() {
-            let stored = self.materials.update(scene, self.instances.materials(), &mut self.arrays)?;
-            self.instances.materials_mut().forget_changes();
-            self.instances.mark_users_stale(&[], &stored);
+    /// Frees geometries and materials that are no longer used, and builds or stores those that are newly used or
+    /// changed. The records of their instances become stale.
+    fn update_assets(&mut self, scene: &Scene, changes: &SceneChanges, report: &mut CompileReport) -> Result<()> {
+        // 1. Materials and textures.
+        if self.users.materials.take_keys_changed() || changes.textures || !changes.materials.is_empty() {
+            let stored = self.materials.update(scene, &self.users.materials, &mut self.arrays)?;
+            let users = stored.iter().flat_map(|&key| self.users.materials.slots(key));
+            users.for_each(|&slot| self.instances.mark_slot(slot));
         }
-        if !dirty.geometries.is_empty() || self.instances.geometries().changed() {
+        // 2. Geometries.
+        if self.users.geometries.take_keys_changed() || !changes.geometries.is_empty() {
             let start = Instant::now();
-            let used = self.instances.geometries();
-            let update = self.geometries.update(scene, used, self.compile_count, &mut self.arrays)?;
-            self.instances.geometries_mut().forget_changes();
-            self.instances.mark_users_stale(&update.changed, &[]);
+            let update = self.geometries.update(scene, &self.users.geometries, self.compile_count, &mut self.arrays)?;
+            let users = update.changed.iter().flat_map(|&key| self.users.geometries.slots(key));
+            users.for_each(|&slot| self.instances.mark_slot(slot));
             (report.blas_built, report.blas_built_triangles) = (update.built.structures, update.built.triangles);
             (report.blas_refitted, report.blas_refitted_triangles) =
                 (update.refitted.structures, update.refitted.triangles);
@@ -308,27 +321,27 @@ impl Compiler {
         Ok(())
     }
 
-    /// Writes the records that are stale, the lights if some changed, and what that means for the top level.
-    fn write_records(
-        &mut self,
-        scene: &Scene,
-        hierarchy: &Hierarchy,
-        shine: bool,
-        report: &mut CompileReport,
-    ) -> Result<()> {
-        let sources = RecordInputs {
+    /// Writes stale instance records, all lights if some are stale, and updates the Tlas.
+    fn write_records(&mut self, scene: &Scene, hierarchy: &Hierarchy, report: &mut CompileReport) -> Result<()> {
+        // 1. Instances.
+        let inputs = RecordInputs {
             hierarchy,
             view: &self.view,
             geometries: &self.geometries,
             materials: &self.materials,
             origin: self.origin,
         };
-        report.instances_written += self.instances.write_stale_records(&sources, &mut self.arrays);
-        if shine {
-            self.write_lights(scene, hierarchy)?;
+        let compile = |member: &Member| instance_record(member, &inputs);
+        report.instances_written +=
+            self.instances.write_stale_records(compile, &mut self.arrays.instances, &mut self.bounds);
+        if self.instances.is_empty() {
+            self.clear_instances();
         }
+        // 2. Lights.
+        self.lights.write(scene, hierarchy, &self.view, self.origin, &mut self.arrays.lights)?;
+        // 3. The Tlas. Of two updates in one compile the last that changed it is reported.
         let start = Instant::now();
-        match self.instances.update_tlas(&mut self.arrays) {
+        match self.bounds.update_tlas(&mut self.arrays.tlas_nodes) {
             TlasUpdate::Kept => {}
             update => {
                 report.tlas = update;
@@ -338,25 +351,21 @@ impl Compiler {
         Ok(())
     }
 
-    /// O(lights).
-    fn write_lights(&mut self, scene: &Scene, hierarchy: &Hierarchy) -> Result<()> {
-        let mut lights = Vec::with_capacity(self.light_entries.len());
-        for &entry in &self.light_entries {
-            let entry = entry as usize;
-            if let Core::Light(light) = scene.node_core(hierarchy.nodes()[entry])? {
-                lights.extend(pack::light_record(light, &self.view.world_from_local(hierarchy, entry), self.origin));
-            }
-        }
-        self.arrays.lights.replace(&lights);
-        Ok(())
+    /// Releases all memory for instances when none is left, and restarts from empty tables and an empty Tlas.
+    fn clear_instances(&mut self) {
+        self.instances.clear_slots();
+        self.users = Users::default();
+        self.bounds.clear(&mut self.arrays.tlas_nodes);
+        self.arrays.instances.truncate(0);
     }
 
-    /// Whether the eye is so far from the render origin that the origin must follow it. Positions near the eye then have
-    /// the full resolution of f32, while a camera that moves a little changes nothing on the device.
+    /// Whether the eye is so far from the render origin that the origin must move to it. Near the eye positions then
+    /// have the full resolution of f32, while small camera motion changes nothing on the device.
     ///
-    /// "Far" is relative: f32 resolves 2^-24 of the distance to the origin. Inside the scene the limit is 1/256 of its
-    /// radius, so that positions are known to 2.3e-10 of that; outside it is 16 times the distance to the scene, 1e-6 of
-    /// which is the most that a position is off: far less than a pixel.
+    /// f32 resolves 2^-24 of the distance to the origin. With the eye inside the scene the limit is 1/256 of the
+    /// scene's radius, which bounds the error of a position by 2.3e-10 of that radius. Outside, the limit is 16 times
+    /// the distance to the scene, which bounds it by 1e-6 of that distance: far less than a pixel. The larger of the
+    /// two counts.
     fn must_rebase(&self, eye: DVec3) -> bool {
         let relative = eye - self.origin;
         let bounds = self.scene_bounds();
@@ -373,12 +382,12 @@ impl Compiler {
         }
     }
 
-    /// The totals of the report. O(materials).
+    /// Fills in the totals of the report. O(materials).
     fn fill_totals(&self, report: &mut CompileReport) {
         let totals = self.instances.totals();
         report.blas_count = self.geometries.len();
         report.instances = totals.instances;
-        report.unhittable_instances = totals.singular_instances;
+        report.unhittable_instances = totals.unhittable_instances;
         report.unique_triangles = self.geometries.triangle_count();
         report.instanced_triangles = totals.triangles;
         report.materials = self.materials.len();

@@ -1,4 +1,4 @@
-//! What becomes of a bottom-level structure whose geometry changed: the choices, and nothing else.
+//! The policy for a Blas whose geometry changed: keep, refit or build, and with which builder. Decisions only.
 
 use std::sync::Arc;
 
@@ -6,50 +6,52 @@ use serde::Serialize;
 
 use crate::graph::{BlasKind, Geometry, Quality};
 
-/// How much dearer a refitted structure may get than it was when it was built, by its SAH cost, before it is built anew.
-/// `docs/BENCHMARKS.md` has what rays cost at other limits.
-pub(super) const MAX_DECAY: f64 = 1.25;
+/// A refitted structure is rebuilt when its SAH cost exceeds this multiple of its cost after the last build.
+/// `docs/BENCHMARKS.md` has the cost of rays at other limits.
+pub(super) const MAX_BLAS_COST_RATIO: f64 = 1.25;
 
-/// Two changes with at most so many compiles from one to the next are in a row.
+/// Two changes at most this many compiles apart count as consecutive.
 const RECENT_COMPILES: u64 = 8;
 
-/// A geometry that changed so many times in a row goes on doing so.
+/// A geometry with this many consecutive changes is expected to keep changing, and gets the fast builder.
 const FREQUENT_CHANGES: u32 = 3;
 
 /// How often a geometry changes, counted in compiles.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct ChangeHistory {
+    /// The number of the compile that saw the last change.
     changed_at: u64,
-    changes_in_a_row: u32,
+    consecutive_changes: u32,
 }
 
 impl ChangeHistory {
-    /// Of a geometry that is new at this compile.
-    pub(super) fn new(now: u64) -> Self {
-        Self { changed_at: now, changes_in_a_row: 0 }
+    /// The history of a geometry that is new at this compile.
+    pub(super) fn new(compile_index: u64) -> Self {
+        Self { changed_at: compile_index, consecutive_changes: 0 }
     }
 
-    /// The geometry changed again.
-    pub(super) fn change(&mut self, now: u64) {
-        let is_recent = now - self.changed_at <= RECENT_COMPILES;
-        self.changes_in_a_row = if is_recent { self.changes_in_a_row.saturating_add(1) } else { 1 };
-        self.changed_at = now;
+    /// Records that this compile saw a change.
+    pub(super) fn record_change(&mut self, compile_index: u64) {
+        let is_recent = compile_index - self.changed_at <= RECENT_COMPILES;
+        self.consecutive_changes = if is_recent { self.consecutive_changes.saturating_add(1) } else { 1 };
+        self.changed_at = compile_index;
     }
 
-    /// The structure to build for a geometry: the one that it asks for, else one that suits how often it changes.
+    /// The structure to build for a geometry: the one that it requests, else one by how often it changes.
     pub(super) fn structure(&self, geometry: &Geometry) -> BlasKind {
-        let quality = if self.changes_in_a_row < FREQUENT_CHANGES { Quality::default() } else { Quality::Low };
+        let quality = if self.consecutive_changes < FREQUENT_CHANGES { Quality::default() } else { Quality::Low };
         geometry.blas_kind.unwrap_or(BlasKind::Bvh(quality))
     }
 }
 
-/// What it takes to follow a geometry.
+/// What has to be done for a changed geometry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum BlasAction {
-    /// The structure stays as it is.
+    /// Nothing: the structure is still right, only other streams changed.
     Keep,
-    /// Its boxes follow the triangles.
+    /// Recompute the boxes in the unchanged hierarchy.
     Refit,
+    /// Build a new structure.
     Build(BuildReason),
 }
 
@@ -62,37 +64,41 @@ pub(super) enum BuildReason {
     StructureChanged,
 }
 
-/// What to do about a `structure` that was built for `old`, where there is `new` now.
+/// What to do with a `structure` that was built for the `old` value of a geometry that now has a `new` one.
 pub(super) fn choose_action(structure: BlasKind, old: &Geometry, new: &Geometry) -> BlasAction {
-    // At once where they are shared.
+    // 1. Another list of triangles needs another hierarchy. The pointer comparison settles shared arrays in O(1).
     if !Arc::ptr_eq(&old.indices, &new.indices) && old.indices != new.indices {
         return BlasAction::Build(BuildReason::TrianglesChanged);
     }
+    // 2. The geometry requests a structure that it does not have.
     if new.blas_kind.is_some_and(|chosen| chosen != structure) {
         return BlasAction::Build(BuildReason::StructureChanged);
     }
-    // Bit by bit: the signs of zeros are told apart.
+    // 3. Equal positions, bit by bit: the device holds the signs of zeros, too.
     let [old_bits, new_bits] = [old, new].map(|geometry| bytemuck::cast_slice::<_, u32>(&geometry.positions));
     if Arc::ptr_eq(&old.positions, &new.positions) || old_bits == new_bits {
         return BlasAction::Keep;
     }
+    // 4. Vertices have moved: refit what can be refitted.
     match structure {
         BlasKind::Bvh(Quality::Low | Quality::Medium) => BlasAction::Refit,
-        // Their leaves hold parts of triangles: whole ones would make them worse than a new structure.
+        // The leaves of these hold clipped triangles; refitting with unclipped ones would give a worse structure than a
+        // new build.
         BlasKind::Bvh(Quality::High) | BlasKind::KdTree => BlasAction::Build(BuildReason::StructureChanged),
     }
 }
 
-/// Why bottom-level structures were built: how many for each reason.
+/// How many bottom-level structures were built for which reason.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[non_exhaustive]
 pub struct BlasBuildReasons {
-    /// Their geometry was not visible before.
+    /// The geometry came into use.
     pub new: usize,
-    /// Their geometry got other triangles, or some triangles got or lost two equal corners.
+    /// The geometry's list of triangles changed, or a triangle became or ceased to be degenerate.
     pub triangles_changed: usize,
-    /// Their geometry had deformed so far that refitting made them a quarter dearer than they were when built.
+    /// Refitting had raised the SAH cost to more than 1.25 times the cost after the last build.
     pub cost_grown: usize,
-    /// Their geometry asked for another structure, or deformed and asks for one that is not refitted.
+    /// The geometry requested another structure, or deformed and has one that cannot be refitted.
     pub structure_changed: usize,
 }
 
@@ -116,10 +122,10 @@ mod tests {
     const FAST: BlasKind = BlasKind::Bvh(Quality::Low);
     const BALANCED: BlasKind = BlasKind::Bvh(Quality::Medium);
 
-    /// What would be built after changes at these compiles.
+    /// The structure that is built after changes at these compiles.
     fn built_after(compiles: &[u64]) -> BlasKind {
         let mut history = ChangeHistory::new(0);
-        compiles.iter().for_each(|&now| history.change(now));
+        compiles.iter().for_each(|&compile_index| history.record_change(compile_index));
         history.structure(&Geometry::default())
     }
 
@@ -130,7 +136,7 @@ mod tests {
         assert_eq!(built_after(&[1, 2, 3]), FAST);
         assert_eq!(built_after(&[8, 16, 24]), FAST, "every eighth compile");
         assert_eq!(built_after(&[9, 18, 27, 36]), BALANCED, "now and then");
-        assert_eq!(built_after(&[1, 2, 3, 4, 100]), BALANCED, "it had come to rest");
+        assert_eq!(built_after(&[1, 2, 3, 4, 100]), BALANCED, "it had stopped changing");
     }
 
     #[test]
@@ -138,7 +144,7 @@ mod tests {
         let mut history = ChangeHistory::new(0);
         let geometry = Geometry::default().with_blas_kind(BlasKind::KdTree);
         assert_eq!(history.structure(&geometry), BlasKind::KdTree);
-        (1..10).for_each(|now| history.change(now));
+        (1..10).for_each(|compile_index| history.record_change(compile_index));
         assert_eq!(history.structure(&geometry), BlasKind::KdTree);
     }
 
@@ -162,7 +168,7 @@ mod tests {
             assert_eq!(
                 choose_action(structure, &old, &old),
                 BlasAction::Keep,
-                "nothing is chosen any more: what is there will do"
+                "no structure is requested any more: any will do"
             );
             assert_eq!(choose_action(structure, &old, &moved), BlasAction::Build(BuildReason::StructureChanged));
             assert_eq!(

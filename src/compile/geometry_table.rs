@@ -1,4 +1,4 @@
-//! One bottom-level structure a geometry, kept while some visible node uses the geometry, and kept up with what it becomes.
+//! The bottom-level structures and vertex streams of all geometries in use, kept up to date as geometries change.
 
 use std::ops::Range;
 use std::sync::OnceLock;
@@ -8,8 +8,10 @@ use slotmap::SecondaryMap;
 
 use super::buffer_allocator::{BufferAllocator, disjoint_mut};
 use super::closed_surface::is_closed_surface;
-use super::deformation::{BlasAction, BlasBuildReasons, BuildReason, ChangeHistory, MAX_DECAY, choose_action};
-use super::instance_table::Users;
+use super::deformation::{
+    BlasAction, BlasBuildReasons, BuildReason, ChangeHistory, MAX_BLAS_COST_RATIO, choose_action,
+};
+use super::users::SlotsByKey;
 use super::vertex_streams::{StreamRanges, VertexStreamTable};
 use crate::Result;
 use crate::accel::{Blas, BlasBuildParams, RefitReport, SupportFunction, refit};
@@ -20,7 +22,7 @@ use crate::graph::{BlasKind, Geometry, GeometryKey, Scene};
 #[derive(Debug)]
 pub(super) struct GeometryTable {
     entries: SecondaryMap<GeometryKey, GeometryEntry>,
-    /// Of all entries.
+    /// Triangles of all entries.
     triangle_count: usize,
     nodes: BufferAllocator,
     wide_nodes: BufferAllocator,
@@ -28,46 +30,49 @@ pub(super) struct GeometryTable {
     streams: VertexStreamTable,
 }
 
-/// What is kept of one geometry.
+/// The state of one geometry: what was written for it, and where.
 #[derive(Debug)]
 pub(super) struct GeometryEntry {
+    /// The scene's version of the geometry that the entry was last updated for.
     version: u64,
     history: ChangeHistory,
-    /// What was built for it.
+    /// The structure that was built.
     structure: BlasKind,
-    /// The SAH cost of that, from the first refit on.
+    /// The SAH cost right after the last build; known from the first refit on, which measures it.
     built_cost: Option<f64>,
-    /// In `blas_nodes`; empty for a geometry that nothing can hit.
+    /// The range in `blas_nodes`; empty if no triangle can be hit.
     pub(super) nodes: Range<u32>,
+    /// The range in `wide_nodes`.
     wide_nodes: Range<u32>,
-    /// In `triangles`.
+    /// The range in `triangles`.
     pub(super) triangles: Range<u32>,
     pub(super) streams: StreamRanges,
-    /// How far its triangles reach, local space.
+    /// Its support function, for world boxes; local space.
     pub(super) support: SupportFunction,
     /// Whether some triangle is in several leaves.
     pub(super) has_duplicates: bool,
-    /// The geometry itself: its streams are shared with the scene.
+    /// The geometry as last written; its arrays are shared with the scene (`Arc`).
     geometry: Geometry,
-    encloses: OnceLock<bool>,
+    /// Whether `geometry` is a closed surface, once that was asked for.
+    is_closed_surface: OnceLock<bool>,
 }
 
 impl GeometryEntry {
-    /// Triangles of the geometry; more than `triangles` where some cannot be hit.
+    /// Triangles of the geometry, including degenerate ones that `triangles` leaves out.
     pub(super) fn triangle_count(&self) -> usize {
         self.geometry.indices.len()
     }
 
-    /// Whether the geometry encloses a solid. Found out when first asked for: only transmissive materials do.
-    pub(super) fn encloses(&self) -> bool {
-        *self.encloses.get_or_init(|| is_closed_surface(&self.geometry))
+    /// Whether the geometry is a closed surface. Computed on first use: only transmissive materials ask.
+    pub(super) fn is_closed_surface(&self) -> bool {
+        *self.is_closed_surface.get_or_init(|| is_closed_surface(&self.geometry))
     }
 }
 
 /// What [`GeometryTable::update`] did.
 #[derive(Clone, Debug, Default)]
 pub(super) struct GeometryUpdate {
-    /// The geometries that are not what they were.
+    /// The geometries whose entry changed.
     pub(super) changed: Vec<GeometryKey>,
     pub(super) builds: BlasBuildReasons,
     pub(super) built: BlasTotals,
@@ -75,7 +80,7 @@ pub(super) struct GeometryUpdate {
     pub(super) freed: usize,
 }
 
-/// So many structures, with so many triangles.
+/// A number of structures, and the triangles in them.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct BlasTotals {
     pub(super) structures: usize,
@@ -89,7 +94,7 @@ impl BlasTotals {
     }
 }
 
-/// A geometry to follow, and what stands for it in the scene.
+/// A geometry to refit or build: its key and its current value.
 type GeometryJob<'a> = (GeometryKey, &'a Geometry);
 
 impl GeometryTable {
@@ -104,50 +109,50 @@ impl GeometryTable {
         }
     }
 
-    /// Makes the cache hold exactly the geometries in `used`, as they are: frees the others, refits what has deformed, and builds
-    /// what is missing or has changed otherwise; all at once on all cores. `now` counts compiles.
+    /// Makes the table hold exactly the geometries in `used`: frees the others, refits those that deformed, and builds
+    /// those that are missing or changed otherwise, in parallel. `compile_index` is the number of this compile.
     pub(super) fn update(
         &mut self,
         scene: &Scene,
-        used: &Users<GeometryKey>,
-        now: u64,
+        used: &SlotsByKey<GeometryKey>,
+        compile_index: u64,
         arrays: &mut DeviceArrays,
     ) -> Result<GeometryUpdate> {
         let mut update = GeometryUpdate::default();
-        // 1. What nobody uses any more.
+        // 1. Free the geometries that no instance uses.
         let unused: Vec<GeometryKey> = self.entries.keys().filter(|&key| !used.has(key)).collect();
         update.freed = unused.len();
         unused.into_iter().for_each(|key| self.free(key, arrays));
-        // 2. What changed, and what that takes.
+        // 2. Decide for each changed geometry: keep, refit or build.
         let (mut to_refit, mut to_build) = (Vec::new(), Vec::new());
         for key in used.keys() {
             let (geometry, version) = (scene.geometry(key)?, scene.geometry_version(key)?);
-            let step = match self.entries.get_mut(key) {
+            let action = match self.entries.get_mut(key) {
                 Some(entry) if entry.version == version => continue,
-                Some(entry) => entry.note_version(geometry, version, now),
+                Some(entry) => entry.note_version(geometry, version, compile_index),
                 None => {
-                    self.entries.insert(key, GeometryEntry::empty(version, now));
+                    self.entries.insert(key, GeometryEntry::empty(version, compile_index));
                     BlasAction::Build(BuildReason::New)
                 }
             };
-            match step {
+            match action {
                 BlasAction::Keep => {}
                 BlasAction::Refit => to_refit.push((key, geometry)),
                 BlasAction::Build(reason) => to_build.push(((key, geometry), reason)),
             }
             update.changed.push(key);
         }
-        // 3. Refit, in place; some turn out to need more than that.
+        // 3. Refit in place. A refit that fails or makes the structure too costly is queued for a build.
         self.refit(&to_refit, arrays, &mut update, &mut to_build);
         // 4. Build.
         self.build(to_build, arrays, &mut update)?;
-        // 5. Streams.
+        // 5. Write the vertex streams.
         for &key in &update.changed {
             let (geometry, entry) = (scene.geometry(key)?, &mut self.entries[key]);
             self.streams.write(&mut entry.streams, &entry.geometry, geometry, &entry.wide_nodes, arrays)?;
             self.triangle_count = self.triangle_count - entry.triangle_count() + geometry.indices.len();
             entry.geometry = geometry.clone();
-            entry.encloses = OnceLock::new();
+            entry.is_closed_surface = OnceLock::new();
         }
         Ok(update)
     }
@@ -162,11 +167,12 @@ impl GeometryTable {
         self.triangle_count
     }
 
-    /// How many there are.
+    /// How many geometries there are.
     pub(super) fn len(&self) -> usize {
         self.entries.len()
     }
 
+    /// Refits the structures of these geometries, and appends to `to_build` those that need a build after all.
     fn refit<'a>(
         &mut self,
         jobs: &[GeometryJob<'a>],
@@ -180,7 +186,7 @@ impl GeometryTable {
         };
         let (node_ranges, triangle_ranges) = (ranges(|entry| &entry.nodes), ranges(|entry| &entry.triangles));
         let wide_ranges = ranges(|entry| &entry.wide_nodes);
-        // 1. All at once.
+        // 1. Refit all geometries in parallel, each in its own ranges of the device arrays.
         let nodes = disjoint_mut(arrays.blas_nodes.as_mut_slice_without_marking(), &node_ranges);
         let wide_nodes = disjoint_mut(arrays.wide_nodes.as_mut_slice_without_marking(), &wide_ranges);
         let triangles = disjoint_mut(arrays.triangles.as_mut_slice_without_marking(), &triangle_ranges);
@@ -192,11 +198,11 @@ impl GeometryTable {
                 Some((refitted, support))
             })
             .collect();
-        // 2. What came of it.
+        // 2. Mark what changed, and queue a build where the refit failed or the cost grew too much.
         let ranges = node_ranges.into_iter().zip(wide_ranges).zip(triangle_ranges);
         for ((job, refitted), ((nodes, wide_nodes), triangles)) in jobs.iter().zip(refitted).zip(ranges) {
             let Some((refitted, support)) = refitted else {
-                // Some of it may have been written.
+                // The failed refit may have written some elements: mark all ranges.
                 arrays.blas_nodes.mark_dirty(nodes);
                 arrays.wide_nodes.mark_dirty(wide_nodes);
                 arrays.triangles.mark_dirty(triangles);
@@ -216,7 +222,7 @@ impl GeometryTable {
             let entry = &mut self.entries[job.0];
             entry.support = support;
             let built_cost = *entry.built_cost.get_or_insert(refitted.old_cost);
-            if refitted.cost > built_cost * MAX_DECAY {
+            if refitted.cost > built_cost * MAX_BLAS_COST_RATIO {
                 to_build.push((*job, BuildReason::CostGrown));
             } else {
                 update.refitted.add(job.1);
@@ -224,18 +230,21 @@ impl GeometryTable {
         }
     }
 
+    /// Builds the structures of these geometries and writes them to the device arrays.
     fn build(
         &mut self,
         jobs: Vec<(GeometryJob<'_>, BuildReason)>,
         arrays: &mut DeviceArrays,
         update: &mut GeometryUpdate,
     ) -> Result<()> {
+        // 1. Build all in parallel.
         let build = |&((key, geometry), _): &(GeometryJob<'_>, BuildReason)| {
             let structure = self.entries[key].history.structure(geometry);
             let blas = Blas::build(geometry, &BlasBuildParams::new(structure))?;
             Ok((structure, SupportFunction::new(&blas), blas))
         };
         let built: Vec<(BlasKind, SupportFunction, Blas)> = jobs.par_iter().map(build).collect::<Result<_>>()?;
+        // 2. Copy them into the device arrays, in order, in the place of those that they replace.
         for (((key, geometry), reason), (structure, support, blas)) in jobs.into_iter().zip(built) {
             update.builds.count(reason);
             update.built.add(geometry);
@@ -260,11 +269,11 @@ impl GeometryTable {
 }
 
 impl GeometryEntry {
-    /// Of a geometry that nothing was done for yet.
-    fn empty(version: u64, now: u64) -> Self {
+    /// An entry of a new geometry, before anything is built for it.
+    fn empty(version: u64, compile_index: u64) -> Self {
         Self {
             version,
-            history: ChangeHistory::new(now),
+            history: ChangeHistory::new(compile_index),
             structure: BlasKind::default(),
             built_cost: None,
             nodes: 0..0,
@@ -274,14 +283,14 @@ impl GeometryEntry {
             support: SupportFunction::default(),
             has_duplicates: false,
             geometry: Geometry::default(),
-            encloses: OnceLock::new(),
+            is_closed_surface: OnceLock::new(),
         }
     }
 
-    /// Takes note of another version of the geometry. What it takes to follow it.
-    fn note_version(&mut self, geometry: &Geometry, version: u64, now: u64) -> BlasAction {
+    /// Records a new version of the geometry, and returns what has to be done for it.
+    fn note_version(&mut self, geometry: &Geometry, version: u64, compile_index: u64) -> BlasAction {
         self.version = version;
-        self.history.change(now);
+        self.history.record_change(compile_index);
         choose_action(self.structure, &self.geometry, geometry)
     }
 }

@@ -1,16 +1,15 @@
-//! Materials and the textures they refer to, kept while some visible node uses them.
+//! The material records, texture references and texels of all materials in use.
 
 use std::ops::Range;
 
 use slotmap::SecondaryMap;
 
 use super::buffer_allocator::BufferAllocator;
-use super::instance_table::Users;
 use super::pack;
+use super::users::SlotsByKey;
 use crate::Result;
-use crate::device::DeviceArrays;
-use crate::device::Needs;
 use crate::device::layout::{InstanceFlags, NONE, TextureFlags};
+use crate::device::{DeviceArrays, Needs};
 use crate::graph::{Material, MaterialKey, Scene, Texture, TextureKey, TextureRef};
 
 /// The materials, texture references and texels on the device.
@@ -19,26 +18,28 @@ pub(super) struct MaterialTable {
     materials: SecondaryMap<MaterialKey, MaterialEntry>,
     textures: SecondaryMap<TextureKey, TextureEntry>,
     records: BufferAllocator,
-    infos: BufferAllocator,
+    texture_infos: BufferAllocator,
     texels: BufferAllocator,
 }
 
-/// Where one material lies in the device arrays.
+/// One material as it was stored, and where.
 #[derive(Debug)]
 pub(super) struct MaterialEntry {
     source: Material,
-    /// In `materials`.
+    /// The range in `materials`: one element.
     pub(super) record: Range<u32>,
-    infos: Range<u32>,
-    /// What traversal must know of it.
+    /// The range in `texture_infos`: one element for each texture reference.
+    texture_infos: Range<u32>,
+    /// The instance flags that follow from the material.
     pub(super) instance_flags: InstanceFlags,
-    /// What it needs of the kernel.
+    /// The kernel features that it needs.
     pub(super) needs: Needs,
 }
 
 #[derive(Debug)]
 struct TextureEntry {
     source: Texture,
+    /// The range in `texels`.
     texels: Range<u32>,
 }
 
@@ -48,26 +49,28 @@ impl MaterialTable {
             materials: SecondaryMap::new(),
             textures: SecondaryMap::new(),
             records: BufferAllocator::new("the materials array"),
-            infos: BufferAllocator::new("the texture references array"),
+            texture_infos: BufferAllocator::new("the texture references array"),
             texels: BufferAllocator::new("the texels array"),
         }
     }
 
-    /// Makes the table hold exactly the materials in `used` and their textures, as they are now. Returns those that were
-    /// stored, which may lie elsewhere than before.
+    /// Makes the table hold exactly the materials in `used` and their textures, as they are now. Returns the materials
+    /// that were stored: their records may have other indices than before. O(materials and textures in use).
     pub(super) fn update(
         &mut self,
         scene: &Scene,
-        used: &Users<MaterialKey>,
+        used: &SlotsByKey<MaterialKey>,
         arrays: &mut DeviceArrays,
     ) -> Result<Vec<MaterialKey>> {
+        // 1. Collect the textures in use.
         let mut used_textures = SecondaryMap::new();
         for key in used.keys() {
             let slots = texture_slots(scene.material(key)?);
             used_textures.extend(slots.into_iter().flatten().map(|(r, _)| (r.texture, ())));
         }
 
-        // 1. Release what is gone or has changed; a material holds on to where its textures lie.
+        // 2. Release materials and textures that are gone or have changed. A material refers to the texel offsets of
+        //    its textures, so it is stored again when one of them changes.
         let is_current =
             |key, e: &TextureEntry| used_textures.contains_key(key) && scene.texture(key).is_ok_and(|t| *t == e.source);
         let stale: Vec<_> = self.textures.iter().filter(|&(k, e)| !is_current(k, e)).map(|(k, _)| k).collect();
@@ -79,13 +82,13 @@ impl MaterialTable {
         let gone: Vec<_> = self.materials.iter().filter(|&(k, e)| !is_current(k, e)).map(|(k, _)| k).collect();
         for entry in gone.into_iter().filter_map(|key| self.materials.remove(key)) {
             self.records.release(&mut arrays.materials, entry.record);
-            self.infos.release(&mut arrays.texture_infos, entry.infos);
+            self.texture_infos.release(&mut arrays.texture_infos, entry.texture_infos);
         }
         for entry in stale.into_iter().filter_map(|key| self.textures.remove(key)) {
             self.texels.release(&mut arrays.texels, entry.texels);
         }
 
-        // 2. Store what is missing.
+        // 3. Store the missing textures, then the missing materials.
         for key in used_textures.keys() {
             if !self.textures.contains_key(key) {
                 let source = scene.texture(key)?.clone();
@@ -107,7 +110,7 @@ impl MaterialTable {
         self.materials.get(key)
     }
 
-    /// What all of them together need.
+    /// The kernel features that all materials together need.
     pub(super) fn needs(&self) -> Needs {
         self.materials.values().fold(Needs::empty(), |needs, entry| needs | entry.needs)
     }
@@ -122,7 +125,9 @@ impl MaterialTable {
         self.textures.len()
     }
 
+    /// Writes a material, whose textures are stored, to the device arrays.
     fn store(&mut self, scene: &Scene, material: &Material, arrays: &mut DeviceArrays) -> Result<MaterialEntry> {
+        // 1. One element for each texture reference, in the order of the slots.
         let slots = texture_slots(material);
         let mut infos = Vec::new();
         let mut positions = [None; 5];
@@ -133,15 +138,16 @@ impl MaterialTable {
             *position = Some(infos.len() as u32);
             infos.push(pack::texture_record(reference, texture, first_texel, *color_space));
         }
-        let infos = self.infos.store(&mut arrays.texture_infos, &infos)?;
-        let textures = positions.map(|position| position.map_or(NONE, |p| infos.start + p));
+        let texture_infos = self.texture_infos.store(&mut arrays.texture_infos, &infos)?;
+        let textures = positions.map(|position| position.map_or(NONE, |p| texture_infos.start + p));
+        // 2. The record, which holds their indices.
         let record = self.records.store(&mut arrays.materials, &[pack::material_record(material, textures)])?;
         Ok(MaterialEntry {
             source: material.clone(),
             record,
-            infos,
+            texture_infos,
             instance_flags: pack::instance_flags(material),
-            needs: pack::needs(material),
+            needs: pack::material_needs(material),
         })
     }
 }

@@ -1,4 +1,4 @@
-//! From the graph's values to the device's: pure functions, one a device type.
+//! Pure functions from scene-graph values to device records, one for each record type.
 
 use glam::{DAffine3, DVec3, Vec4};
 use slotmap::Key as _;
@@ -9,42 +9,47 @@ use crate::device::{MAX_MIRROR_ROUGHNESS, Needs};
 use crate::graph::{AlphaMode, FilterMode, Light, LightKind, Material, NodeKey, Texture, TextureRef, WrapMode};
 use crate::math::Aabb;
 
-/// Where an instance is, for its device record.
+/// The transform and world box of an instance, as its device record has them.
 pub(super) struct InstanceTransform {
-    /// Rows of `local_from_world` and `world_from_local`, world relative to the render origin.
+    /// Rows of `local_from_world` and `world_from_local`; world space is relative to the render origin.
     local_from_world: [[f32; 4]; 3],
     world_from_local: [[f32; 4]; 3],
-    /// The box around the instance in that world.
+    /// The box around the instance in that world space.
     pub(super) bounds: Aabb,
 }
 
 impl InstanceTransform {
-    /// Places a geometry that reaches as far as `support` says. `None` if the matrix is singular, or if it or its inverse does not
-    /// fit f32: such a geometry cannot be hit.
+    /// The placement of a geometry with this support function. `None` if the matrix is singular, or it or its inverse
+    /// does not fit f32: such an instance cannot be hit.
     ///
-    /// What the device sees is the geometry under the *inverse of the rounded* `local_from_world`, so the box is
-    /// computed from that, and then widened by the rounding of the ray transform: each local coordinate of a point x is off
-    /// by less than 4 ulp of `|local_from_world| |x| + |translation|`, which the inverse takes back to the world.
+    /// Rays are transformed by the f32-rounded `local_from_world`, so what is seen is the geometry under the inverse of
+    /// that, and the box is computed from it. The box is then widened by the rounding of the ray transform: each local
+    /// coordinate of a point x is off by less than 4 ulp of `|local_from_world| |x| + |translation|`, which is mapped
+    /// back to world space.
     pub(super) fn new(world_from_local: &DAffine3, origin: DVec3, support: &SupportFunction) -> Option<Self> {
+        // 1. Relative to the render origin.
         let mut relative = *world_from_local;
         relative.translation -= origin;
         let determinant = relative.matrix3.determinant();
         if determinant == 0.0 || !determinant.is_finite() {
             return None;
         }
+        // 2. Round the inverse to f32, as the device has it.
         let local_from_world = relative.inverse().as_affine3();
-        let device = local_from_world.as_daffine3();
-        let effective = device.inverse();
-        let world_from_local = effective.as_affine3();
-        if !(local_from_world.is_finite() && world_from_local.is_finite() && effective.is_finite()) {
+        let rounded_local_from_world = local_from_world.as_daffine3();
+        // 3. The placement that rays then see.
+        let world_from_rounded_local = rounded_local_from_world.inverse();
+        let world_from_local = world_from_rounded_local.as_affine3();
+        if !(local_from_world.is_finite() && world_from_local.is_finite() && world_from_rounded_local.is_finite()) {
             return None;
         }
 
-        let world = support.world_bounds(&effective);
+        // 4. Its box, widened by the rounding of the ray transform.
+        let world = support.world_bounds(&world_from_rounded_local);
         let corner = world.min.abs().max(world.max.abs());
-        let local_error = device.matrix3.abs() * corner + device.translation.abs();
-        let slack = effective.matrix3.abs() * local_error * (4.0 * f64::from(f32::EPSILON));
-        let (min, max) = (world.min - slack, world.max + slack);
+        let local_error = rounded_local_from_world.matrix3.abs() * corner + rounded_local_from_world.translation.abs();
+        let rounding_margin = world_from_rounded_local.matrix3.abs() * local_error * (4.0 * f64::from(f32::EPSILON));
+        let (min, max) = (world.min - rounding_margin, world.max + rounding_margin);
         let bounds = Aabb { min: min.as_vec3(), max: max.as_vec3() };
         let fits = bounds.min.is_finite() && bounds.max.is_finite();
         fits.then(|| Self {
@@ -55,7 +60,7 @@ impl InstanceTransform {
     }
 
     /// The device record. `first_*`, `geometry` and `material` are indices into the arrays of those names.
-    pub(super) fn instance(
+    pub(super) fn instance_record(
         &self,
         [first_node, first_triangle, geometry, material]: [u32; 4],
         mask: u32,
@@ -105,7 +110,7 @@ pub(super) fn material_record(material: &Material, textures: [u32; 5]) -> layout
     }
 }
 
-/// What traversal must know of an instance of this material.
+/// The instance flags that follow from a material.
 pub(super) fn instance_flags(material: &Material) -> InstanceFlags {
     let transmissive = material.transmission > 0.0;
     let mask = matches!(material.alpha_mode, AlphaMode::Mask { .. });
@@ -117,8 +122,8 @@ pub(super) fn instance_flags(material: &Material) -> InstanceFlags {
     flags
 }
 
-/// What this material needs of the kernel.
-pub(super) fn needs(material: &Material) -> Needs {
+/// The kernel features that a material needs.
+pub(super) fn material_needs(material: &Material) -> Needs {
     let textured = [
         material.base_color_texture,
         material.metallic_roughness_texture,
@@ -126,7 +131,8 @@ pub(super) fn needs(material: &Material) -> Needs {
         material.transmission_texture,
         material.normal_texture,
     ];
-    // A texture only ever lowers roughness and metallic (its texels are at most 1), so it can make a mirror.
+    // A metallic-roughness texture multiplies by at most 1, so it may make a rough material smooth enough for
+    // reflection rays.
     let sharp = material.roughness < MAX_MIRROR_ROUGHNESS || material.metallic_roughness_texture.is_some();
     let transmissive = material.transmission > 0.0;
     let mut needs = Needs::empty();
@@ -167,10 +173,11 @@ pub(super) fn texture_record(
     }
 }
 
-/// The device record of a light at `world_from_local`; `None` if it gives no light, or is beyond what f32 holds.
+/// The device record of a light; `None` if it emits nothing, or its position or colour does not fit f32. The position
+/// is relative to the render origin; the direction is the -Z axis of the light's node.
 pub(super) fn light_record(light: &Light, world_from_local: &DAffine3, origin: DVec3) -> Option<layout::LightRecord> {
     let color = light.color * light.intensity;
-    // A light whose node is scaled to nothing keeps its place and loses its direction.
+    // A node scaled to zero has no direction: point lights still work, others are left out.
     let direction = (-world_from_local.matrix3.z_axis).try_normalize();
     let position = (world_from_local.translation - origin).as_vec3();
     let is_usable = position.is_finite() && color.is_finite();
@@ -181,7 +188,7 @@ pub(super) fn light_record(light: &Light, world_from_local: &DAffine3, origin: D
         LightKind::Point => (layout::LIGHT_POINT, 0.0, 1.0),
         LightKind::Directional => (layout::LIGHT_DIRECTIONAL, 0.0, 1.0),
         LightKind::Spot { inner_cone_angle, outer_cone_angle } => {
-            // Equal angles would divide by zero; an ulp of the cosine is a sharp edge.
+            // Equal cone angles would divide by zero; a difference of one ulp gives a hard edge.
             let (inner, outer) = (inner_cone_angle.cos(), outer_cone_angle.cos());
             let scale = 1.0 / (inner - outer).max(f32::EPSILON);
             (layout::LIGHT_SPOT, scale, -outer * scale)
@@ -201,12 +208,13 @@ pub(super) fn light_record(light: &Light, world_from_local: &DAffine3, origin: D
     })
 }
 
-/// Four 16-bit unorms, red lowest.
+/// A colour as four 16-bit unorms, red in the lowest bits.
 pub(super) fn pack_color(color: Vec4) -> [u32; 2] {
     let [r, g, b, a] = color.to_array().map(|c| (c.clamp(0.0, 1.0) * 65535.0 + 0.5) as u32);
     [r | g << 16, b | a << 16]
 }
 
+/// The rows of an affine matrix, the translation in the last column.
 fn affine_rows(affine: &glam::Affine3) -> [[f32; 4]; 3] {
     let [x, y, z] = [affine.matrix3.x_axis, affine.matrix3.y_axis, affine.matrix3.z_axis];
     let t = affine.translation;

@@ -1,4 +1,4 @@
-//! What a compile did, and why.
+//! The report of a compile.
 
 use std::time::Duration;
 
@@ -8,15 +8,20 @@ use super::BlasBuildReasons;
 use crate::accel::TlasUpdate;
 use crate::device::Needs;
 
-/// What one [`Compiler::compile`](super::Compiler::compile) did.
+/// What one [`Compiler::compile`](super::Compiler::compile) did, and what the scene then consists of.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct CompileReport {
-    /// What became of the top level.
+    /// How the Tlas was updated: kept, patched, refitted or rebuilt.
+    ///
+    /// A compile that moves the render origin ([`rebased`](Self::rebased)) updates it twice; this is the last of the
+    /// two that changed it. When the last instance has gone the Tlas is emptied, which is reported as
+    /// [`Kept`](TlasUpdate::Kept) with [`instances`](Self::instances) 0.
     pub tlas: TlasUpdate,
-    /// Whether the camera went so far from the render origin that the origin followed it: then every instance was written
-    /// anew.
+    /// Whether the render origin moved to the viewpoint because that had gone too far from it; every instance record
+    /// was then written again.
     pub rebased: bool,
-    /// Instance records written.
+    /// Instance records written; those written again after the render origin moved count twice.
     pub instances_written: usize,
     /// Bottom-level structures built.
     pub blas_built: usize,
@@ -24,7 +29,7 @@ pub struct CompileReport {
     pub blas_built_triangles: usize,
     /// Why they were built.
     pub blas_builds: BlasBuildReasons,
-    /// Bottom-level structures refitted: their boxes follow the triangles of a geometry that deformed.
+    /// Bottom-level structures refitted: their geometry deformed, and boxes were recomputed in the unchanged hierarchy.
     pub blas_refitted: usize,
     /// Triangles in them.
     pub blas_refitted_triangles: usize,
@@ -32,21 +37,22 @@ pub struct CompileReport {
     pub blas_freed: usize,
     /// Bottom-level structures there are now.
     pub blas_count: usize,
-    /// Instances in the top level.
+    /// Instances in the Tlas.
     pub instances: usize,
-    /// Visible geometry nodes that no ray can hit, because their matrix is singular or beyond f32.
+    /// Visible instances with triangles that no ray can hit: their matrix is singular or beyond f32, or all their
+    /// triangles are degenerate.
     pub unhittable_instances: usize,
-    /// Triangles of the visible geometries, each counted once.
+    /// Triangles of the geometries in use, each geometry counted once.
     pub unique_triangles: usize,
-    /// Triangles in the scene, counted for each instance.
+    /// Triangles of all instances that can be hit: those of a geometry count once for each instance.
     pub instanced_triangles: usize,
     /// Materials in use.
     pub materials: usize,
     /// Textures in use.
     pub textures: usize,
-    /// Lights that shine.
+    /// Visible lights that emit.
     pub lights: usize,
-    /// What the scene uses.
+    /// The kernel features that the scene needs.
     pub needs: Needs,
     /// Bytes of the device arrays.
     pub device_bytes: u64,
@@ -56,13 +62,13 @@ pub struct CompileReport {
     /// Time to build and refit bottom-level structures, and to write them and their streams, in seconds.
     #[serde(serialize_with = "seconds")]
     pub blas_time: Duration,
-    /// Time to build the top level, in seconds.
+    /// Time to update the Tlas (patch, refit or rebuild), in seconds; both updates where the render origin moved.
     #[serde(serialize_with = "seconds")]
     pub tlas_time: Duration,
 }
 
 impl CompileReport {
-    /// The report of the next compile, if it finds nothing changed.
+    /// The report of a compile that finds nothing changed after this one.
     pub(super) fn as_unchanged(&self) -> Self {
         Self {
             tlas: TlasUpdate::Kept,
@@ -82,7 +88,7 @@ impl CompileReport {
     }
 }
 
-/// A duration as seconds.
+/// Serialises a duration as seconds.
 pub(crate) fn seconds<S: serde::Serializer>(time: &Duration, serializer: S) -> Result<S::Ok, S::Error> {
     serializer.serialize_f64(time.as_secs_f64())
 }

@@ -1,4 +1,4 @@
-//! The vertex streams of geometries on the device: what shading looks up by vertex.
+//! The vertex streams of geometries in the device arrays: what shading interpolates between vertices.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -10,7 +10,7 @@ use crate::device::DeviceArrays;
 use crate::device::layout::{GeometryRecord, NONE};
 use crate::graph::Geometry;
 
-/// Hands out places in the arrays for streams.
+/// Allocates and writes vertex streams in the device arrays.
 #[derive(Debug)]
 pub(super) struct VertexStreamTable {
     records: BufferAllocator,
@@ -20,10 +20,10 @@ pub(super) struct VertexStreamTable {
     colors: BufferAllocator,
 }
 
-/// Where the streams of one geometry lie; by default nowhere.
+/// The ranges of one geometry's streams in the device arrays; empty by default.
 #[derive(Clone, Debug, Default)]
 pub(super) struct StreamRanges {
-    /// In `geometries`.
+    /// The range in `geometries`: one element.
     pub(super) record: Range<u32>,
     indices: Range<u32>,
     normals: Range<u32>,
@@ -42,8 +42,9 @@ impl VertexStreamTable {
         }
     }
 
-    /// Writes the streams of a geometry in the place of those of `old`, which lie at `ranges`: those that are shared with it
-    /// stay as they are, those of the same length where they are. Its record also tells where its wide nodes are.
+    /// Writes the streams of `geometry`, replacing those of `old` at `ranges`. A stream that both share (`Arc`) is left
+    /// untouched, and one of the same length is overwritten in place. The geometry's record also holds the offset of
+    /// its wide nodes.
     pub(super) fn write(
         &mut self,
         ranges: &mut StreamRanges,
@@ -52,7 +53,7 @@ impl VertexStreamTable {
         wide_nodes: &Range<u32>,
         arrays: &mut DeviceArrays,
     ) -> Result<()> {
-        // Without a stream there is nothing to look up by vertex.
+        // Vertex indices are needed only to look up streams.
         let indices = |of: &Geometry| has_streams(of).then(|| of.indices.clone());
         if !is_shared(&indices(old), &indices(geometry)) {
             let indices = indices(geometry).unwrap_or_default();
@@ -73,6 +74,7 @@ impl VertexStreamTable {
             let colors: Vec<[u32; 2]> = colors.iter().map(|c| pack::pack_color(*c)).collect();
             self.colors.replace(&mut arrays.colors, &mut ranges.colors, &colors)?;
         }
+        // The record, with the new offsets.
         let record = GeometryRecord {
             first_index: first_or_none(&ranges.indices),
             first_normal: first_or_none(&ranges.normals),
@@ -85,6 +87,7 @@ impl VertexStreamTable {
         self.records.replace(&mut arrays.geometries, &mut ranges.record, &[record])
     }
 
+    /// Releases all ranges of a geometry.
     pub(super) fn release(&mut self, ranges: StreamRanges, arrays: &mut DeviceArrays) {
         self.records.release(&mut arrays.geometries, ranges.record);
         self.indices.release(&mut arrays.indices, ranges.indices);
@@ -100,6 +103,7 @@ fn has_streams(geometry: &Geometry) -> bool {
     geometry.normals.is_some() || geometry.colors.is_some() || geometry.tex_coords.iter().any(Option::is_some)
 }
 
+/// Whether two optional streams are the same array, or both absent.
 fn is_shared<T>(a: &Option<Arc<[T]>>, b: &Option<Arc<[T]>>) -> bool {
     match (a, b) {
         (Some(a), Some(b)) => Arc::ptr_eq(a, b),

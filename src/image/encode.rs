@@ -1,4 +1,4 @@
-//! The bytes of PNG and EXR files.
+//! PNG and EXR encoders.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -14,10 +14,10 @@ use slotmap::Key as _;
 use super::{Aovs, Image};
 use crate::{Error, Result};
 
-/// Turns an image into the content of a file.
+/// Encodes an image as the content of a file.
 pub(super) type EncodeFn = fn(&Image) -> ImageResult<Vec<u8>>;
 
-/// The encoder for files of this name.
+/// The encoder for the extension of a file name, in upper or lower case.
 pub(super) fn encoder_for_path(path: &Path) -> Result<EncodeFn> {
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
     match extension.to_ascii_lowercase().as_str() {
@@ -27,6 +27,7 @@ pub(super) fn encoder_for_path(path: &Path) -> Result<EncodeFn> {
     }
 }
 
+/// An 8-bit sRGB PNG with alpha.
 fn png(image: &Image) -> ImageResult<Vec<u8>> {
     let mut bytes = Vec::new();
     let pixels = image.to_rgba8();
@@ -39,10 +40,12 @@ fn png(image: &Image) -> ImageResult<Vec<u8>> {
     Ok(bytes)
 }
 
+/// An EXR with one layer: 32-bit float R, G, B and A, and the AOVs if there are any.
 fn exr(image: &Image) -> ImageResult<Vec<u8>> {
     if image.color.is_empty() {
         return Err(ImageError::Parameter(ParameterError::from_kind(ParameterErrorKind::DimensionMismatch)));
     }
+    // 1. Channels.
     let mut channels: SmallVec<[AnyChannel<FlatSamples>; 4]> = ["R", "G", "B", "A"]
         .iter()
         .enumerate()
@@ -52,6 +55,7 @@ fn exr(image: &Image) -> ImageResult<Vec<u8>> {
         channels.extend(aov_channels(aovs));
     }
 
+    // 2. One layer, compressed without loss.
     let size = Vec2(image.width as usize, image.height as usize);
     let encoding = Encoding { compression: exr::prelude::Compression::ZIP16, ..Encoding::FAST_LOSSLESS };
     let layer = Layer::new(size, LayerAttributes::default(), encoding, AnyChannels::sort(channels));
@@ -64,7 +68,7 @@ fn exr(image: &Image) -> ImageResult<Vec<u8>> {
     Ok(bytes.into_inner())
 }
 
-/// The names are those that compositing programs look for (Z, N.X), where there is a usual one.
+/// The channels of the AOVs, under the names that compositing programs look for (Z, N.X) where there is a usual one.
 fn aov_channels(aovs: &Aovs) -> [AnyChannel<FlatSamples>; 7] {
     let normal = |axis: usize| aovs.normal.iter().map(move |n| n[axis]);
     let ids = |shift: u32| aovs.node.iter().map(move |node| (node.data().as_ffi() >> shift) as u32);

@@ -1,4 +1,4 @@
-//! Linear images with what was seen in each pixel, and their way to a display and to files.
+//! Rendered images: linear RGBA with optional AOVs, tone mapping, PNG and EXR output.
 
 mod encode;
 mod save;
@@ -12,33 +12,55 @@ use crate::graph::NodeKey;
 
 /// A rendered image: linear RGBA, row by row from the top.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Image {
-    /// Pixels a row.
+    /// Image width in pixels.
     pub width: u32,
-    /// Rows.
+    /// Image height in pixels.
     pub height: u32,
-    /// Linear radiance and coverage; not clamped.
+    /// Linear radiance (RGB) and coverage (alpha) of each pixel; not clamped.
     pub color: Vec<[f32; 4]>,
-    /// What the primary rays met, where the view asked for it.
+    /// Data of the primary hits, if the view asked for it.
     pub aovs: Option<Aovs>,
 }
 
-/// Arbitrary output variables: what the primary ray of each pixel met. All arrays are in the image's order.
+/// AOVs (arbitrary output variables): data of the primary hit of each pixel, row by row from the top.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Aovs {
-    /// Distance from the camera along the ray, in the scene's unit of length; infinite where nothing was met.
+    /// Distance from the camera along the ray, in the scene's unit of length; infinite where nothing was hit.
     pub depth: Vec<f32>,
-    /// Unit shading normal in world space, towards the camera; zero where nothing was met.
+    /// Unit shading normal in world space, on the side of the camera; zero where nothing was hit.
     pub normal: Vec<[f32; 3]>,
-    /// The node whose geometry was met; the null key where nothing was.
+    /// The node whose geometry was hit; the null key where nothing was.
     pub node: Vec<NodeKey>,
-    /// The triangle's index in its geometry; `u32::MAX` where nothing was met.
+    /// The triangle's index in its geometry; `u32::MAX` where nothing was hit.
     pub triangle: Vec<u32>,
 }
 
+impl Aovs {
+    /// AOVs from one array for each of them. All must have as many elements as the image has pixels, row by row from
+    /// the top.
+    pub fn new(depth: Vec<f32>, normal: Vec<[f32; 3]>, node: Vec<NodeKey>, triangle: Vec<u32>) -> Self {
+        Self { depth, normal, node, triangle }
+    }
+}
+
 impl Image {
-    /// The node seen in a pixel, counted from the upper left; `None` where nothing was met, outside the image, and without
-    /// [`aovs`](Self::aovs).
+    /// An image without AOVs. `color` is linear RGBA, row by row from the top, and must have `width * height` elements:
+    /// [`save`](Self::save) and [`downscaled`](Self::downscaled) fail if it has not.
+    pub fn new(width: u32, height: u32, color: Vec<[f32; 4]>) -> Self {
+        Self { width, height, color, aovs: None }
+    }
+
+    /// The same image with these AOVs.
+    #[must_use]
+    pub fn with_aovs(self, aovs: Aovs) -> Self {
+        Self { aovs: Some(aovs), ..self }
+    }
+
+    /// The node seen in a pixel, counted from the upper left; `None` where nothing was hit, outside the image, and
+    /// without [`aovs`](Self::aovs).
     pub fn node_at(&self, x: u32, y: u32) -> Option<NodeKey> {
         if x >= self.width || y >= self.height {
             return None;
@@ -47,28 +69,31 @@ impl Image {
         (!slotmap::Key::is_null(&node)).then_some(node)
     }
 
-    /// What a display shows: each pixel tone mapped by [`khronos_pbr_neutral`] and sRGB encoded, 8 bits a channel, rounded to nearest.
-    /// Alpha is linear. A number that is not finite does no harm: NaN and negative numbers are 0, infinity is white. O(pixels).
+    /// The image for a display: each pixel tone mapped by [`khronos_pbr_neutral`] and sRGB encoded, 8 bits per channel,
+    /// rounded to nearest. Alpha is linear. NaN and negative values become 0, infinity becomes white. O(pixels).
     pub fn to_rgba8(&self) -> Vec<[u8; 4]> {
         self.color.iter().map(|&pixel| tonemap::rgba8(pixel)).collect()
     }
 
-    /// An image `1 / factor` as wide and high, each pixel the mean of `factor * factor` of this one's: rendering larger and
-    /// averaging smooths edges. A mean of depths or ids has no meaning, so the AOVs are those of each block's first pixel.
-    /// Rows and columns left over at the right and bottom are dropped. O(pixels).
+    /// An image `1 / factor` as wide and high, whose pixels are the means of blocks of `factor * factor` pixels of this
+    /// one: supersampling, if the image was rendered larger for it. A mean of depths or ids has no meaning, so the AOVs
+    /// are those of the first pixel of each block. Rows and columns left over at the right and bottom are dropped.
+    /// O(pixels).
     ///
     /// # Errors
-    /// [`Error::OutOfRange`](crate::Error::OutOfRange) where `factor` is 0 or larger than the image, or an array has not
-    /// `width * height` elements.
+    /// [`Error::OutOfRange`](crate::Error::OutOfRange) if `factor` is 0 or larger than the image, or an array does not have `width * height`
+    /// elements.
     pub fn downscaled(&self, factor: u32) -> Result<Self> {
         self.validate()?;
         let is_allowed = factor > 0 && factor <= self.width.min(self.height);
         let expected = "between 1 and the image's width and height";
         require(is_allowed, "the factor to downscale by", &factor, expected)?;
 
+        // 1. The pixels of the result, and the index of the first pixel of each one's block.
         let (width, height) = (self.width / factor, self.height / factor);
         let pixels = || (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
         let first = |(x, y): (u32, u32)| (y * factor) as usize * self.width as usize + (x * factor) as usize;
+        // 2. Colours: the mean of a block, row by row.
         let mean = |pixel| {
             let rows = (0..factor as usize).map(|row| first(pixel) + row * self.width as usize);
             let mut sum = glam::Vec4::ZERO;
@@ -78,6 +103,7 @@ impl Image {
             }
             (sum / (factor * factor) as f32).to_array()
         };
+        // 3. AOVs: the first pixel of a block.
         let aovs = self.aovs.as_ref().map(|aovs| Aovs {
             depth: pixels().map(|p| aovs.depth[first(p)]).collect(),
             normal: pixels().map(|p| aovs.normal[first(p)]).collect(),
@@ -108,7 +134,7 @@ mod tests {
     use super::*;
 
     fn image(width: u32, height: u32, color: Vec<[f32; 4]>) -> Image {
-        Image { width, height, color, aovs: None }
+        Image::new(width, height, color)
     }
 
     #[test]

@@ -1,31 +1,34 @@
-//! From linear radiance to what a display shows.
+//! Tone mapping and sRGB encoding.
 
 use glam::Vec3;
 
 /// Compresses linear radiance into 0 to 1 for a display, by the Khronos PBR Neutral tone mapper: colours up to 0.8 keep
-/// their hue and saturation (so that a base colour under white light of strength 1 looks as its author saw it), brighter
-/// ones roll off to white.
+/// their hue and saturation, so that a base colour under white light of strength 1 appears unchanged; brighter colours
+/// roll off to white.
 ///
-/// NaN and negative components are taken as 0, infinite ones as the largest number.
+/// NaN and negative components are taken as 0, infinite ones as the largest f32.
 ///
 /// Source: <https://github.com/KhronosGroup/ToneMapping/tree/main/PBR_Neutral>.
 pub fn khronos_pbr_neutral(linear: Vec3) -> Vec3 {
-    /// Where compression starts, before the offset is subtracted.
+    /// The largest component at which compression starts: 0.8, less the offset that is subtracted first.
     const START_COMPRESSION: f32 = 0.8 - 0.04;
-    /// How fast bright colours lose saturation.
+    /// How fast compressed colours lose saturation.
     const DESATURATION: f32 = 0.15;
 
     let linear = linear.map(|c| if c > 0.0 { c.min(f32::MAX) } else { 0.0 });
 
-    // The 4 % that a dielectric reflects of white surroundings is taken away again.
+    // 1. Subtract the Fresnel offset (F0 = 0.04), as the Khronos reference does.
+    // A dielectric reflects that much of white surroundings; darker colours lose less.
     let darkest = linear.min_element();
     let offset = if darkest < 0.08 { darkest - 6.25 * darkest * darkest } else { 0.04 };
     let color = linear - offset;
 
+    // 2. Colours below the shoulder are done.
     let peak = color.max_element();
     if peak < START_COMPRESSION {
         return color;
     }
+    // 3. Compress the peak to below 1, and desaturate by how much that took away.
     let headroom = 1.0 - START_COMPRESSION;
     let new_peak = 1.0 - headroom * headroom / (peak + headroom - START_COMPRESSION);
     let white = 1.0 - 1.0 / (DESATURATION * (peak - new_peak) + 1.0);
@@ -39,7 +42,7 @@ pub fn srgb_from_linear(linear: f32) -> f32 {
 
 /// One pixel of [`Image::to_rgba8`](super::Image::to_rgba8).
 pub(super) fn rgba8([r, g, b, a]: [f32; 4]) -> [u8; 4] {
-    // A float to integer cast saturates, and takes NaN to 0.
+    // A cast from float to integer saturates, and turns NaN into 0.
     let quantized = |c: f32| (c * 255.0 + 0.5) as u8;
     let [r, g, b] = khronos_pbr_neutral(Vec3::new(r, g, b)).map(srgb_from_linear).to_array().map(quantized);
     [r, g, b, quantized(a)]

@@ -1,4 +1,4 @@
-//! What a query found: a point on a triangle of a node.
+//! Query results: a point on a triangle of a node.
 
 use glam::DVec3;
 
@@ -6,34 +6,35 @@ use super::{PlacedInstance, Queries, to_dvec3};
 use crate::device::layout::{NONE, Triangle};
 use crate::graph::{GeometryKey, MaterialKey, NodePath};
 
-/// A point on a triangle, and whose it is. World space.
+/// A point on a triangle of a node, in world space.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Hit {
     /// The node with the geometry.
     pub path: NodePath,
-    /// What it shows.
+    /// The node's geometry.
     pub geometry: GeometryKey,
-    /// What it is made of.
+    /// Its material: that of the node's core, or of a material group above it.
     pub material: MaterialKey,
     /// Index into the geometry's `indices`.
     pub triangle: u32,
-    /// The weights of the triangle's three corners at the point; their sum is 1.
+    /// Barycentric coordinates of the point: the weights of the triangle's three vertices; they sum to 1.
     pub barycentrics: DVec3,
-    /// Of a ray: where on it, in units of its direction's length. Of a nearest point: how far it is.
+    /// For a ray query: t, in units of the direction's length. For [`Queries::nearest`]: the distance in world units.
     pub distance: f64,
-    /// The point, on the triangle.
+    /// The position of the point.
     pub position: DVec3,
-    /// Unit normal of the triangle, on the side where it winds counter-clockwise in local space: its front. Zero for a triangle
-    /// without area, which can be nearest, but not hit.
+    /// Unit geometric normal, pointing to the front side: the one from which the vertices are in counter-clockwise
+    /// order in local space. Zero for a degenerate triangle, which can be the nearest, but is never hit by a ray.
     pub geometric_normal: DVec3,
-    /// Unit normal between those of the vertices, on the same side; the geometric one where there are none. Normal textures are
-    /// not asked.
+    /// Unit normal interpolated between those of the vertices, turned to the side of the geometric normal; equal to
+    /// that if the geometry has no normals. Normal maps are not applied.
     pub shading_normal: DVec3,
-    /// Whether the ray came, or the point lies, on the other side than the normals: behind.
+    /// Whether the ray's origin or the query point is on the back side of the triangle, away from the normals.
     pub back_face: bool,
 }
 
-/// What is known of a hit until it turns out to be wanted.
+/// A candidate hit, as indices; resolved to a [`Hit`] only if it is returned.
 #[derive(Clone, Copy)]
 pub(super) struct HitCandidate {
     /// Index into the `instances` array.
@@ -44,26 +45,28 @@ pub(super) struct HitCandidate {
     pub(super) primitive: u32,
     pub(super) barycentrics: DVec3,
     pub(super) distance: f64,
-    pub(super) back: bool,
+    pub(super) back_face: bool,
 }
 
 impl HitCandidate {
-    /// By distance, then by instance and triangle: a strict order.
+    /// Whether this hit comes first: by distance, then by instance index, then by triangle.
     pub(super) fn precedes(&self, other: &Self) -> bool {
         (self.distance, self.instance_index, self.primitive) < (other.distance, other.instance_index, other.primitive)
     }
 }
 
 impl Queries<'_> {
+    /// Resolves a candidate to keys, world positions and normals.
     pub(super) fn hit(&self, found: &HitCandidate) -> Option<Hit> {
         let arrays = self.compiler.arrays();
-        let source = self.compiler.instance(found.instance_index, self.hierarchy)?;
+        let source = self.compiler.instance_source(found.instance_index, self.hierarchy)?;
         let placement = PlacedInstance::new(found.instance_index, &arrays.instances[found.instance_index as usize]);
+        // 1. The point in local space.
         let triangle = &arrays.triangles[found.triangle as usize];
         let corners = [triangle.v0, triangle.v1, triangle.v2].map(to_dvec3);
         let local = interpolate(corners, found.barycentrics);
 
-        // Normals go to the world by the transposed inverse.
+        // 2. Normals, transformed to world space by the transpose of the inverse matrix.
         let to_world = placement.local_from_world.matrix3.transpose();
         let local_normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
         let geometric_normal = (to_world * local_normal.normalize_or_zero()).normalize_or_zero();
@@ -81,11 +84,11 @@ impl Queries<'_> {
             position: placement.world_from_local.transform_point3(local) + self.compiler.origin(),
             geometric_normal,
             shading_normal,
-            back_face: found.back,
+            back_face: found.back_face,
         })
     }
 
-    /// The normal between those of the vertices, local space; `None` where the geometry has none.
+    /// The normal interpolated between those of the vertices, in local space; `None` if the geometry has none.
     fn vertex_normal(&self, placement: &PlacedInstance<'_>, triangle: &Triangle, weights: DVec3) -> Option<DVec3> {
         let arrays = self.compiler.arrays();
         let streams = &arrays.geometries[placement.instance.geometry as usize];
@@ -101,7 +104,7 @@ impl Queries<'_> {
     }
 }
 
-/// The sum of three vectors by their weights.
+/// The weighted sum of three vectors.
 pub(super) fn interpolate([a, b, c]: [DVec3; 3], weights: DVec3) -> DVec3 {
     a * weights.x + b * weights.y + c * weights.z
 }

@@ -1,64 +1,69 @@
-//! Ray against box and triangle in f64, and exact where it must decide: a ray through a closed surface crosses it an even
-//! number of times, and one from inside an odd number, whatever edges and corners it runs through.
+//! Ray/box and ray/triangle tests in f64. The inside test of the triangle is exact, so a ray crosses a closed surface
+//! an even number of times (an odd number if it starts inside), even through edges and vertices.
 //!
-//! A shear takes the ray to the z axis, as in the kernel's test (Woop, Benthin, Wald 2013). Each corner is then a point of the
-//! plane, computed from the corner and the ray alone, so that triangles agree on the corners they share. Whether the origin lies
-//! left of an edge is decided exactly for these points: the sign of a difference of two products is that of the rounded products,
-//! or, where these are equal, that of their rounding errors (rounding is monotonic). An origin that lies exactly on an edge is
-//! taken to be moved by an infinitely small amount in x and a yet smaller one in y (H. Edelsbrunner, E. P. Mücke, *Simulation of
-//! Simplicity*, 1990): of two triangles that join there it then meets one if they lie on different sides of the edge, and both or
-//! none if they lie on the same side.
+//! A shear takes the ray to the z axis, as in the kernel's test (Woop, Benthin, Wald 2013). Each vertex projects to a
+//! 2D point that depends only on the vertex and the ray, so adjacent triangles agree on shared vertices (watertight).
+//! Whether the origin lies left of an edge is decided exactly for these points: the sign of a difference of two
+//! products is that of the rounded products, or, if these are equal, that of their rounding errors (rounding is
+//! monotonic).
+//!
+//! If the origin lies exactly on an edge, it is perturbed symbolically: moved by an infinitesimal amount in x and a yet
+//! smaller one in y (H. Edelsbrunner, E. P. Mücke, *Simulation of Simplicity*, 1990). Of two triangles that share the
+//! edge the ray then hits one if they lie on different sides of it, and both or none if they lie on the same side.
 
 use glam::{DVec2, DVec3};
 
 use crate::device::layout::{Node, Triangle};
 
-/// A ray in the space of one level.
+/// A ray prepared for traversal, in world space for the Tlas or in local space for a Blas.
 pub(super) struct TraversalRay {
     origin: DVec3,
-    reciprocal: DVec3,
+    reciprocal_direction: DVec3,
     /// The axes that become x, y and z; z is the longest of the direction.
     axes: [usize; 3],
-    /// What x and y change by where z changes by 1.
+    /// Shear: dx/dz and dy/dz.
     slope: DVec2,
+    /// The direction's component of largest magnitude.
     direction_z: f64,
 }
 
-/// Where a ray crosses a triangle.
+/// The intersection of a ray with a triangle.
 #[derive(Clone, Copy)]
 pub(super) struct TriangleIntersection {
     pub(super) t: f64,
-    /// Of the three corners; sum 1.
-    pub(super) weights: DVec3,
-    /// The ray came from the side where the triangle winds clockwise.
-    pub(super) back: bool,
+    /// Barycentric coordinates of the three vertices; they sum to 1.
+    pub(super) barycentrics: DVec3,
+    /// Whether the back face was hit: clockwise winding seen from the ray's origin.
+    pub(super) back_face: bool,
 }
 
-/// What a plane's distance may be off by, relatively: three roundings for each of the two that are compared.
+/// Relative error bound of a slab distance: three roundings on each side of the comparison, rounded up.
 const BOX_ERROR_BOUND: f64 = 8.0 * f64::EPSILON;
 
 impl TraversalRay {
     pub(super) fn new(origin: DVec3, direction: DVec3) -> Self {
         let z = direction.abs().max_position();
         let axes = [(z + 1) % 3, (z + 2) % 3, z];
-        let depth = direction[z];
-        let slope = DVec2::new(direction[axes[0]], direction[axes[1]]) / depth;
-        Self { origin, reciprocal: direction.recip(), axes, slope, direction_z: depth }
+        let direction_z = direction[z];
+        let slope = DVec2::new(direction[axes[0]], direction[axes[1]]) / direction_z;
+        Self { origin, reciprocal_direction: direction.recip(), axes, slope, direction_z }
     }
 
-    /// Whether the ray meets the box between `t_min` and `t_max`.
+    /// Whether the ray intersects the box between `t_min` and `t_max`: the slab test.
     #[inline]
     pub(super) fn intersects_box(&self, node: &Node, t_min: f64, t_max: f64) -> bool {
         let [min, max] = [node.min, node.max].map(|corner| DVec3::from_array(corner.map(f64::from)));
-        // Boxes are padded: a ray in a face plane, where this is not a number, may pass by.
-        let (a, b) = ((min - self.origin) * self.reciprocal, (max - self.origin) * self.reciprocal);
+        // 0 * inf gives NaN for a ray in a face plane. Such a ray may miss the box, which is safe because boxes are
+        // padded.
+        let (a, b) = ((min - self.origin) * self.reciprocal_direction, (max - self.origin) * self.reciprocal_direction);
         let (near, far) = (a.min(b).max_element(), a.max(b).min_element());
         let (near, far) = (near - near.abs() * BOX_ERROR_BOUND, far + far.abs() * BOX_ERROR_BOUND);
         near <= far && near <= t_max && far >= t_min
     }
 
-    /// Where the ray's line meets the triangle. One without area, seen along the ray, is not met.
+    /// The intersection of the ray's line with the triangle. A triangle seen edge-on is missed.
     pub(super) fn intersect_triangle(&self, triangle: &Triangle) -> Option<TriangleIntersection> {
+        // 1. Shear the vertices, so that the ray is the z axis.
         let [x, y, z] = self.axes;
         let mut t = DVec3::ZERO;
         let mut points = [DVec2::ZERO; 3];
@@ -67,38 +72,42 @@ impl TraversalRay {
             points[i] = DVec2::new(relative[x], relative[y]) - self.slope * relative[z];
             t[i] = relative[z] / self.direction_z;
         }
+        // 2. Edge functions: the ray hits if the origin of the plane is on the same side of all edges.
         let [a, b, c] = points;
         let edges = [Edge::new(b, c), Edge::new(c, a), Edge::new(a, b)];
         let is_left = edges[0].is_left;
         if edges[1].is_left != is_left || edges[2].is_left != is_left {
             return None;
         }
+        // 3. Barycentric coordinates.
         let areas = DVec3::from_array(edges.map(|edge| edge.area));
-        let sum = areas.element_sum();
-        let weights = areas / sum;
-        if !weights.is_finite() {
+        let barycentrics = areas / areas.element_sum();
+        if !barycentrics.is_finite() {
             return None;
         }
-        let t = weights.dot(t).clamp(t.min_element(), t.max_element());
-        Some(TriangleIntersection { t, weights, back: is_left == (self.direction_z > 0.0) })
+        // 4. t, interpolated from those of the vertices, and which face was hit.
+        let t = barycentrics.dot(t).clamp(t.min_element(), t.max_element());
+        Some(TriangleIntersection { t, barycentrics, back_face: is_left == (self.direction_z > 0.0) })
     }
 }
 
-/// How an edge of a triangle lies to the origin of the plane.
+/// An edge of the projected triangle relative to the 2D origin: the ray.
 struct Edge {
-    /// Twice the area of the triangle that it spans with the origin; positive counter-clockwise.
+    /// Twice the signed area of the triangle that it spans with the origin; positive if counter-clockwise.
     area: f64,
-    /// Whether the origin, or the point that stands for it, is to its left.
+    /// Whether the origin, perturbed if it lies on the edge, is to its left.
     is_left: bool,
 }
 
 impl Edge {
     fn new(from: DVec2, to: DVec2) -> Self {
         let (p, q) = (from.x * to.y, from.y * to.x);
+        // If the rounded products are equal, the difference of their rounding errors decides.
         let mut area = p - q;
         if area == 0.0 {
             area = from.x.mul_add(to.y, -p) - from.y.mul_add(to.x, -q);
         }
+        // An exact zero: perturb the origin, first in x, then in y.
         let is_left = if area == 0.0 { (from.y, to.x) > (to.y, from.x) } else { area > 0.0 };
         Self { area, is_left }
     }
@@ -132,7 +141,7 @@ mod tests {
                 assert_eq!(crossings.len(), 1, "from {from} to {target}");
                 assert!((crossings[0].t - 1.0).abs() < 1e-14);
                 // The grid winds counter-clockwise seen from +z.
-                assert_eq!(crossings[0].back, from.z < 10.0);
+                assert_eq!(crossings[0].back_face, from.z < 10.0);
                 rays += 1;
             }
         }

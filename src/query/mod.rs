@@ -1,9 +1,8 @@
-//! Questions about a scene that its acceleration structure answers: what a ray meets, what a box or a frustum overlaps, what is
-//! nearest to a point.
+//! Ray, region and point queries on the CPU.
 //!
-//! All walk the arrays that are traced, both levels along their escape indices, so none has a stack, and none looks at all
-//! triangles. All are exact on triangles, in f64, relative to the render origin. What they see is the geometry as it is drawn,
-//! which the device's f32 matrices put within 2^-22 of its distance to the render origin of where the scene has it.
+//! They traverse the binary nodes of the device arrays, both levels by escape indices, without a stack. Tests are exact
+//! on triangles in f64, relative to the render origin. Positions are those of the rendered geometry: f32 instance
+//! matrices displace it by up to 2^-22 of its distance to the render origin.
 
 mod containment;
 mod hit;
@@ -34,11 +33,12 @@ use crate::error::require;
 use crate::graph::{Hierarchy, NodePath, Scene};
 use crate::math::{Aabb, Bounds};
 
-/// Asks a scene, in world space. Never stale: the scene cannot be edited meanwhile.
+/// Queries on a compiled scene, in world space. It borrows the scene, so results are never out of date.
 ///
-/// Only what can be seen is found: nodes that are visible, chosen by their switches and levels of detail, with a mask that
-/// shares a bit with that of the [queries](Self::with_ray_mask) and a matrix that can be inverted. Rays see what camera rays see;
-/// the other queries see both sides of every triangle, and no holes.
+/// Only visible geometry is found: that of nodes which are visible, selected by switches and levels of detail, with a
+/// mask that has a bit in common with that of the [queries](Self::with_ray_mask), and an invertible matrix. Ray queries
+/// apply the rules of camera rays (back-face culling, alpha masks); other queries treat all triangles as two-sided and
+/// solid.
 ///
 /// ```
 /// use ropewalk::glam::{DVec3, Vec3};
@@ -55,9 +55,9 @@ use crate::math::{Aabb, Bounds};
 /// let mut renderer = Renderer::new(&RendererOptions::default().with_device(DeviceChoice::Cpu))?;
 /// let queries = renderer.queries(&mut scene)?;
 ///
-/// let hit = queries.closest(&Ray::new(DVec3::new(0.0, 0.5, 0.0), DVec3::NEG_Z))?.unwrap();
+/// let hit = queries.closest_hit(&Ray::new(DVec3::new(0.0, 0.5, 0.0), DVec3::NEG_Z))?.unwrap();
 /// assert_eq!((hit.path.node, hit.triangle, hit.distance), (triangle, 0, 5.0));
-/// assert_eq!((hit.position, hit.back), (DVec3::new(0.0, 0.5, -5.0), false));
+/// assert_eq!((hit.position, hit.back_face), (DVec3::new(0.0, 0.5, -5.0), false));
 ///
 /// let above = Region::new_box(&Bounds { min: DVec3::new(-1.0, 0.5, -6.0), max: DVec3::new(1.0, 2.0, 0.0) })?;
 /// assert_eq!(queries.overlapping(&above, Overlap::Touching).len(), 1);
@@ -77,9 +77,11 @@ pub struct Queries<'a> {
 }
 
 impl<'a> Queries<'a> {
-    /// Catches up with the scene, then asks it. Costs what [`Compiler::compile_from_last_viewpoint`] costs: nothing where nothing changed.
+    /// Compiles the scene if needed. Costs what [`Compiler::compile_from_last_viewpoint`] costs: O(1) for an unchanged
+    /// scene.
     ///
-    /// Levels of detail and billboards are what they are for who looked last; if nobody has, for an eye at the scene's centre.
+    /// Levels of detail and billboards are evaluated for the last viewpoint compiled for, or for the scene's centre if
+    /// there is none.
     ///
     /// # Errors
     /// As [`Compiler::compile`].
@@ -88,24 +90,24 @@ impl<'a> Queries<'a> {
         Self::of_compiled_scene(compiler, scene)
     }
 
-    /// Asks a scene that has just been compiled.
+    /// Queries on a scene that has just been compiled.
     pub(crate) fn of_compiled_scene(compiler: &'a Compiler, scene: &'a mut Scene) -> Result<Self> {
         let (scene, hierarchy) = scene.with_hierarchy()?;
         Ok(Self { scene, hierarchy, compiler, mask: u32::MAX, visited: AtomicU64::new(0) })
     }
 
-    /// The scene that is asked: it can be read, but not edited, while it is.
+    /// The scene, which can be read, but not edited, while the queries exist.
     pub fn scene(&self) -> &'a Scene {
         self.scene
     }
 
-    /// The same queries, for nodes only whose mask shares a bit with this one, the masks above them applied. At first all.
+    /// Restricts the queries to nodes whose inherited mask has a bit in common with `mask` (default: all bits).
     #[must_use]
     pub fn with_ray_mask(self, mask: u32) -> Self {
         Self { mask, ..self }
     }
 
-    /// The world box around all that can be found, a little larger for rounding. Empty where there is nothing. O(1).
+    /// World bounds of the compiled scene, slightly enlarged for rounding; empty for a scene without geometry. O(1).
     pub fn bounds(&self) -> Bounds {
         let Some(root) = self.compiler.arrays().tlas_nodes.first().filter(|root| !root.is_empty()) else {
             return Bounds::EMPTY;
@@ -114,22 +116,22 @@ impl<'a> Queries<'a> {
         Bounds { min: relative.min + self.compiler.origin(), max: relative.max + self.compiler.origin() }
     }
 
-    /// How many nodes of both levels all queries so far have visited: what they cost, whatever the machine.
+    /// The number of nodes of both levels that all queries so far have visited: a machine-independent measure of cost.
     pub fn visited_nodes(&self) -> u64 {
         self.visited.load(Ordering::Relaxed)
     }
 
-    /// A point, relative to the render origin.
+    /// A world position relative to the render origin.
     fn relative(&self, point: DVec3) -> DVec3 {
         point - self.compiler.origin()
     }
 
-    /// A way through the top level.
+    /// A traversal of the Tlas.
     fn traverse_tlas(&self) -> StacklessTraversal<'_> {
         StacklessTraversal::new(&self.compiler.arrays().tlas_nodes, &self.visited)
     }
 
-    /// A way through the bottom level of an instance.
+    /// A traversal of the instance's Blas.
     fn traverse_blas(&self, placement: &PlacedInstance<'_>) -> StacklessTraversal<'_> {
         StacklessTraversal::new(
             &self.compiler.arrays().blas_nodes[placement.instance.first_node as usize..],
@@ -137,32 +139,33 @@ impl<'a> Queries<'a> {
         )
     }
 
-    /// The instance of a leaf of the top level, unless the mask hides it.
+    /// The instance of a leaf of the Tlas, with its index, unless the mask excludes it.
     fn instance(&self, leaf: &Node) -> Option<(u32, &InstanceRecord)> {
-        let slot = leaf.primitives.first_primitive();
-        let instance = &self.compiler.arrays().instances[slot as usize];
-        (instance.mask & self.mask != 0).then_some((slot, instance))
+        let instance_index = leaf.primitives.first_primitive();
+        let instance = &self.compiler.arrays().instances[instance_index as usize];
+        (instance.mask & self.mask != 0).then_some((instance_index, instance))
     }
 
     /// As [`instance`](Self::instance), with its matrices.
     fn placement(&self, leaf: &Node) -> Option<PlacedInstance<'_>> {
-        self.instance(leaf).map(|(slot, instance)| PlacedInstance::new(slot, instance))
+        self.instance(leaf).map(|(instance_index, instance)| PlacedInstance::new(instance_index, instance))
     }
 
-    /// The triangles of a leaf of a bottom level, with the index of the first.
+    /// The triangles of a leaf of a Blas, with the index of the first.
     fn triangles(&self, placement: &PlacedInstance<'_>, range: PrimitiveRange) -> (u32, &[Triangle]) {
         let first = placement.instance.first_triangle + range.first_primitive();
         (first, &self.compiler.arrays().triangles[first as usize..][..range.primitive_count() as usize])
     }
 
-    /// The nodes of these slots, in the order of the slots.
-    fn paths(&self, mut slots: Vec<u32>) -> Vec<NodePath> {
-        slots.sort_unstable();
-        slots.into_iter().filter_map(|slot| Some(self.compiler.instance(slot, self.hierarchy)?.path)).collect()
+    /// The paths of the nodes of these instances, by ascending index.
+    fn paths(&self, mut instances: Vec<u32>) -> Vec<NodePath> {
+        instances.sort_unstable();
+        let source = |index| self.compiler.instance_source(index, self.hierarchy);
+        instances.into_iter().filter_map(|index| Some(source(index)?.path)).collect()
     }
 }
 
-/// A corner in the arrays.
+/// Widens a position in the device arrays to f64.
 fn to_dvec3(v: [f32; 3]) -> DVec3 {
     DVec3::from_array(v.map(f64::from))
 }

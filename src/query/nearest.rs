@@ -1,4 +1,4 @@
-//! The nearest point on geometry: branch and bound over both levels.
+//! Nearest-point queries: branch and bound over both levels.
 
 use glam::DVec3;
 
@@ -7,38 +7,39 @@ use super::{PlacedInstance, Queries, require, to_dvec3};
 use crate::Result;
 use crate::device::layout::{Node, Triangle};
 
-/// By distance.
+/// Nearest-point queries.
 impl Queries<'_> {
-    /// The point nearest to `point` of all geometry, if it is no farther than `max_distance`, which may be infinite. Distances are
-    /// the world's, whatever scales and shears an instance. Of points equally far, one of the lower place in the `instances`
-    /// array, then of the lower triangle.
+    /// The point of all geometry that is nearest to `point`, if its distance is at most `max_distance`, which may be
+    /// infinite. Distances are measured in world space, whatever the scale or shear of an instance. Ties are broken by
+    /// lower instance index, then lower triangle index.
     ///
-    /// O(log triangles) as a rule. Boxes of sheared instances bound distances less well, and boxes that are all as far (a
-    /// point at the centre of a sphere) not at all.
+    /// O(log triangles) on average. Sheared instances give weaker bounds; a point equidistant from all boxes (the
+    /// centre of a sphere) degenerates to O(n).
     ///
     /// # Errors
-    /// [`Error::OutOfRange`](crate::Error::OutOfRange) for a point that is not finite, or a distance that is negative or not a
-    /// number.
+    /// [`Error::OutOfRange`](crate::Error::OutOfRange) for a point that is not finite, or a distance that is negative
+    /// or not a number.
     pub fn nearest(&self, point: DVec3, max_distance: f64) -> Result<Option<Hit>> {
         require(point.is_finite(), "point", &point, "finite")?;
         require(max_distance >= 0.0, "greatest distance", &max_distance, "at least 0")?;
         let mut search = NearestSearch { queries: self, point: self.relative(point), max_distance, nearest: None };
-        // 1. What is likely to be near: a first bound.
+        // 1. Greedy descent to one leaf for an initial bound.
         if let Some(leaf) = self.traverse_tlas().descend_to_nearest_leaf(|node| search.distance(node)) {
             search.search_nearest_leaf(leaf);
         }
-        // 2. Whatever may be nearer.
-        let mut top = self.traverse_tlas();
-        while let Some(leaf) = top.next_leaf(|node| search.distance(node) <= search.current_radius()) {
+        // 2. Branch and bound: visit every box closer than the best distance so far.
+        let mut tlas = self.traverse_tlas();
+        while let Some(leaf) = tlas.next_leaf(|node| search.distance(node) <= search.current_radius()) {
             search.search_instance(leaf);
         }
         Ok(search.nearest.and_then(|found| self.hit(&found)))
     }
 }
 
-/// Far above the rounding of a distance, relative to what it is computed from.
+/// Relative safety margin of a lower bound, far above f64 rounding.
 const DISTANCE_ERROR_BOUND: f64 = 1e-12;
 
+/// The state of one nearest-point query.
 struct NearestSearch<'a> {
     queries: &'a Queries<'a>,
     /// Relative to the render origin.
@@ -48,17 +49,17 @@ struct NearestSearch<'a> {
 }
 
 impl NearestSearch<'_> {
-    /// How far it is to what is of interest.
+    /// Current search radius: the best distance so far, or `max_distance`.
     fn current_radius(&self) -> f64 {
         self.nearest.map_or(self.max_distance, |nearest| nearest.distance)
     }
 
-    /// How far it is to a box of the top level.
+    /// The distance to a box of the Tlas.
     fn distance(&self, node: &Node) -> f64 {
         self.point.distance(self.point.clamp(to_dvec3(node.min), to_dvec3(node.max)))
     }
 
-    /// Looks at one leaf of the instance only.
+    /// Tests one leaf of the instance: that of a greedy descent.
     fn search_nearest_leaf(&mut self, leaf: &Node) {
         let Some(placement) = self.queries.placement(leaf) else { return };
         let local = PointInInstance::new(&placement, self.point);
@@ -68,28 +69,28 @@ impl NearestSearch<'_> {
         }
     }
 
+    /// Tests every leaf of the instance that may be closer than the best distance so far.
     fn search_instance(&mut self, leaf: &Node) {
         let Some(placement) = self.queries.placement(leaf) else { return };
         let local = PointInInstance::new(&placement, self.point);
-        let mut bottom = self.queries.traverse_blas(&placement);
-        while let Some(leaf) = bottom.next_leaf(|node| local.distance(node) <= self.current_radius()) {
+        let mut blas = self.queries.traverse_blas(&placement);
+        while let Some(leaf) = blas.next_leaf(|node| local.distance(node) <= self.current_radius()) {
             self.search_leaf(&placement, leaf);
         }
     }
 
-    /// Compares with the triangles of a leaf.
+    /// Tests the triangles of a leaf.
     fn search_leaf(&mut self, placement: &PlacedInstance<'_>, leaf: &Node) {
         let (first, triangles) = self.queries.triangles(placement, leaf.primitives);
         for (index, triangle) in (first..).zip(triangles) {
-            let (weights, distance, back) = nearest_on(placement, triangle, self.point);
-            let (slot, primitive) = (placement.slot, triangle.primitive);
+            let (barycentrics, distance, back_face) = nearest_on(placement, triangle, self.point);
             let found = HitCandidate {
-                instance_index: slot,
+                instance_index: placement.instance_index,
                 triangle: index,
-                primitive,
-                barycentrics: weights,
+                primitive: triangle.primitive,
+                barycentrics,
                 distance,
-                back,
+                back_face,
             };
             if distance <= self.current_radius() && self.nearest.is_none_or(|nearest| found.precedes(&nearest)) {
                 self.nearest = Some(found);
@@ -98,7 +99,7 @@ impl NearestSearch<'_> {
     }
 }
 
-/// A point, seen from an instance.
+/// The query point in world space and in the local space of an instance.
 struct PointInInstance<'a> {
     placement: &'a PlacedInstance<'a>,
     world: DVec3,
@@ -110,9 +111,10 @@ impl<'a> PointInInstance<'a> {
         Self { placement, world, local: placement.local_from_world.transform_point3(world) }
     }
 
-    /// A lower bound of the world distance to a box of the bottom level: how far the plane is that touches the box in the
-    /// direction of its locally nearest point. Exact but for instances that are sheared.
+    /// Lower bound of the world distance to a Blas box: the distance to the supporting plane of the box perpendicular
+    /// to the direction towards the point nearest in local space. Exact without shear.
     fn distance(&self, node: &Node) -> f64 {
+        // 1. The point of the box that is nearest in local space, and the world direction from it to the query point.
         let [min, max] = [to_dvec3(node.min), to_dvec3(node.max)];
         let nearest = self.local.clamp(min, max);
         let world_from_local = &self.placement.world_from_local;
@@ -121,30 +123,33 @@ impl<'a> PointInInstance<'a> {
         if length == 0.0 {
             return 0.0;
         }
-        // How far the box reaches beyond that point towards ours.
+        // 2. How far the box extends beyond that point in this direction.
         let along = world_from_local.matrix3.transpose() * (away / length);
         let reach = (along * (min - nearest)).max(along * (max - nearest)).element_sum();
-        // Less by what rounding may have added: what lies exactly at the limit is found.
+        // 3. The distance to the supporting plane, less a margin for rounding, so that a point exactly at the limit is
+        //    found.
         (length - reach - (length + reach.abs()) * DISTANCE_ERROR_BOUND).max(0.0)
     }
 }
 
-/// Whether a point is behind a triangle, both in local space: there the winding says which side is the front, and an
-/// instance that is nearly flat in the world is not.
+/// Whether a point is behind a triangle. Both are in local space, because winding defines the front side there, and
+/// because an instance that is nearly flat in world space is not flat there.
 fn is_behind([a, b, c]: [DVec3; 3], point: DVec3) -> bool {
     (b - a).cross(c - a).dot(point - a) < 0.0
 }
 
-/// The weights of the point of a triangle that is nearest to one of the world, how far it is, and whether that is behind.
+/// The barycentric coordinates of the point of a triangle that is nearest to a world position, the distance, and
+/// whether the position is on the back side.
 fn nearest_on(placement: &PlacedInstance<'_>, triangle: &Triangle, point: DVec3) -> (DVec3, f64, bool) {
-    // Relative to the point, which is then the origin.
+    // 1. Move the query point to the origin.
     let local = [triangle.v0, triangle.v1, triangle.v2].map(to_dvec3);
     let corners = local.map(|corner| placement.world_from_local.transform_point3(corner) - point);
     let [a, b, c] = corners;
     let normal = (b - a).cross(c - a);
-    let back = is_behind(local, placement.local_from_world.transform_point3(point));
+    let back_face = is_behind(local, placement.local_from_world.transform_point3(point));
 
-    // Above the triangle, or nearest to an edge: a triangle without area has edges, too.
+    // 2. Candidates: the projection onto the triangle's plane, and the nearest point of each edge (degenerate triangles
+    //    have only edges).
     let [of_b, of_c] =
         [normal.dot((c - a).cross(a)), normal.dot(a.cross(b - a))].map(|area| area / normal.length_squared());
     let inside = DVec3::new(1.0 - of_b - of_c, of_b, of_c);
@@ -152,16 +157,17 @@ fn nearest_on(placement: &PlacedInstance<'_>, triangle: &Triangle, point: DVec3)
     let mut distance = interpolate(corners, weights).length();
     let [bc, ca] = [nearest_on_edge(b, c), nearest_on_edge(c, a)];
     let others = [DVec3::new(0.0, bc.x, bc.y), DVec3::new(ca.y, 0.0, ca.x), inside];
+    // 3. The nearest of those that lie in the triangle.
     for other in others.into_iter().filter(|weights| weights.min_element() >= 0.0) {
         let other_distance = interpolate(corners, other).length();
         if other_distance < distance {
             (weights, distance) = (other, other_distance);
         }
     }
-    (weights, distance, back)
+    (weights, distance, back_face)
 }
 
-/// The weights of an edge's ends at its point nearest to the origin.
+/// The weights of the two ends of an edge at its point nearest to the origin.
 fn nearest_on_edge(a: DVec3, b: DVec3) -> glam::DVec2 {
     let edge = b - a;
     let share = (-a.dot(edge) / edge.length_squared()).clamp(0.0, 1.0);

@@ -1,4 +1,4 @@
-//! Queries by ray.
+//! Ray queries.
 
 use std::ops::ControlFlow;
 
@@ -14,44 +14,45 @@ use crate::trace::kernel::{KernelScene, closest_hit, fails_alpha_test};
 /// A ray in world space.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ray {
-    /// Where it starts.
+    /// The start of the ray; t is 0 there.
     pub origin: DVec3,
-    /// Where it goes; any length but zero.
+    /// The direction; any non-zero length.
     pub direction: DVec3,
-    /// What is nearer is passed over; in units of the direction's length. Below zero it looks back.
+    /// Hits at smaller t are ignored, in units of the direction's length; negative values include hits behind the
+    /// origin.
     pub t_min: f64,
-    /// What is farther is passed over; may be infinite.
+    /// Hits at larger t are ignored; may be infinite.
     pub t_max: f64,
 }
 
 impl Ray {
-    /// From its origin on, without end.
+    /// A ray with t from 0 to infinity.
     pub fn new(origin: DVec3, direction: DVec3) -> Self {
         Self { origin, direction, t_min: 0.0, t_max: f64::INFINITY }
     }
 
-    /// Checks that it is one.
+    /// Validates the ray.
     ///
     /// # Errors
-    /// [`Error::OutOfRange`](crate::Error::OutOfRange): an origin or direction that is not finite, a direction of zero, a limit
-    /// that is not a number.
+    /// [`Error::OutOfRange`](crate::Error::OutOfRange) if the origin or the direction is not finite, the direction is
+    /// zero, or a limit is NaN.
     pub fn validate(&self) -> Result<()> {
         require(self.origin.is_finite(), "ray origin", &self.origin, "finite")?;
-        let points_somewhere = self.direction.is_finite() && self.direction != DVec3::ZERO;
-        require(points_somewhere, "ray direction", &self.direction, "finite and not zero")?;
+        let is_direction = self.direction.is_finite() && self.direction != DVec3::ZERO;
+        require(is_direction, "ray direction", &self.direction, "finite and not zero")?;
         let range = [self.t_min, self.t_max];
         require(range.iter().all(|t| !t.is_nan()), "ray interval", &range, "two numbers")
     }
 }
 
-/// By ray: what a camera ray sees.
+/// Ray queries, with the hit rules of camera rays.
 ///
-/// Back faces of single-sided materials and the holes of an alpha mask are passed by; surfaces that blend or transmit are hit.
-/// Where a ray runs exactly through an edge or a corner, one triangle there is hit for each time that the ray passes through the
-/// surface; at a silhouette, which it only touches, both or none. A camera's own rays are f32, and differ within their rounding.
+/// Back faces of single-sided materials and the holes of an alpha mask are not hit; surfaces that blend or transmit
+/// are. A ray exactly through a shared edge or vertex hits exactly one triangle per crossing of the surface; at a
+/// silhouette edge it hits both or none. The rays of a frame are f32, and may differ within their rounding.
 impl Queries<'_> {
-    /// The hit of least distance; of equal ones that of the lower place in the `instances` array, then of the lower triangle.
-    /// O(log triangles) as a rule.
+    /// The closest hit. Ties are broken by lower instance index, then lower triangle index. O(log triangles) on
+    /// average.
     ///
     /// # Errors
     /// As [`Ray::validate`].
@@ -66,7 +67,7 @@ impl Queries<'_> {
         Ok(closest.and_then(|found| self.hit(&found)))
     }
 
-    /// Whether there is a hit: as soon as one is found. O(log triangles) as a rule.
+    /// Whether there is any hit; stops at the first one found. O(log triangles) on average.
     ///
     /// # Errors
     /// As [`Ray::validate`].
@@ -79,8 +80,8 @@ impl Queries<'_> {
         Ok(any)
     }
 
-    /// Every hit, by distance; equal ones in the order that [`closest`](Self::closest_hit) prefers. O(log triangles + hits) as a
-    /// rule.
+    /// All hits by distance, ties in the order that [`closest_hit`](Self::closest_hit) prefers. O(log triangles + hits)
+    /// on average.
     ///
     /// # Errors
     /// As [`Ray::validate`].
@@ -95,18 +96,19 @@ impl Queries<'_> {
                 .total_cmp(&b.distance)
                 .then((a.instance_index, a.primitive).cmp(&(b.instance_index, b.primitive)))
         });
-        // A triangle that is in several leaves counts once.
+        // A triangle that is in several leaves was found several times.
         all.dedup_by_key(|found| (found.instance_index, found.primitive));
         Ok(all.iter().filter_map(|found| self.hit(found)).collect())
     }
 
-    /// What the kernel hits by this ray of its own, which is relative to the render origin: the pixel's truth, tie or not.
+    /// Closest hit by the f32 kernel of a ray relative to the render origin, so that picking agrees with the rendered
+    /// pixel.
     pub(crate) fn closest_hit_of_kernel(&self, ray: &layout::RayRecord) -> Option<Hit> {
         let hit = closest_hit(&KernelScene::new(self.compiler.arrays()), ray, self.mask);
         self.hit_from_record(&hit, f64::from(hit.t))
     }
 
-    /// What the kernel hit, at a distance in the ray's own terms.
+    /// Resolves a hit record of the kernel; `None` for a miss. `distance` is t in the units of the caller's ray.
     pub(crate) fn hit_from_record(&self, hit: &layout::HitRecord, distance: f64) -> Option<Hit> {
         let (u, v) = (f64::from(hit.u), f64::from(hit.v));
         let found = HitCandidate {
@@ -115,42 +117,46 @@ impl Queries<'_> {
             primitive: hit.primitive,
             barycentrics: DVec3::new(1.0 - u - v, u, v),
             distance,
-            back: hit.back_face != 0,
+            back_face: hit.back_face != 0,
         };
         if hit.instance == NONE { None } else { self.hit(&found) }
     }
 
-    /// Finds what the ray meets in no particular order. `found` says how far it is of interest from then on.
+    /// Calls `found` for every hit in the t range, in no particular order. It returns the new `t_max`, or stops the
+    /// traversal.
     fn for_each_crossing(&self, ray: &Ray, mut found: impl FnMut(HitCandidate) -> ControlFlow<(), f64>) -> Result<()> {
         ray.validate()?;
         let origin = self.relative(ray.origin);
         let world = TraversalRay::new(origin, ray.direction);
         let mut t_max = ray.t_max;
-        let mut top = self.traverse_tlas();
-        while let Some(leaf) = top.next_leaf(|node| world.intersects_box(node, ray.t_min, t_max)) {
+        // For each leaf of the Tlas: transform the ray to the instance's local space, without normalising it, so that t
+        // means the same in both levels.
+        let mut tlas = self.traverse_tlas();
+        while let Some(leaf) = tlas.next_leaf(|node| world.intersects_box(node, ray.t_min, t_max)) {
             let Some(placement) = self.placement(leaf) else { continue };
             let local = TraversalRay::new(
                 placement.local_from_world.transform_point3(origin),
                 placement.local_from_world.transform_vector3(ray.direction),
             );
-            let mut bottom = self.traverse_blas(&placement);
-            while let Some(leaf) = bottom.next_leaf(|node| local.intersects_box(node, ray.t_min, t_max)) {
+            // For each leaf of its Blas: test the triangles.
+            let mut blas = self.traverse_blas(&placement);
+            while let Some(leaf) = blas.next_leaf(|node| local.intersects_box(node, ray.t_min, t_max)) {
                 let (first, triangles) = self.triangles(&placement, leaf.primitives);
                 for (index, triangle) in (first..).zip(triangles) {
                     let Some(crossing) = local.intersect_triangle(triangle) else { continue };
+                    // Apply the t range and the hit rules.
                     let in_range = ray.t_min <= crossing.t && crossing.t <= t_max;
                     if !in_range || !self.is_accepted(&placement, triangle, &crossing) {
                         continue;
                     }
-                    let TriangleIntersection { t, weights, back } = crossing;
-                    let (slot, primitive) = (placement.slot, triangle.primitive);
+                    let TriangleIntersection { t, barycentrics, back_face } = crossing;
                     match found(HitCandidate {
-                        instance_index: slot,
+                        instance_index: placement.instance_index,
                         triangle: index,
-                        primitive,
-                        barycentrics: weights,
+                        primitive: triangle.primitive,
+                        barycentrics,
                         distance: t,
-                        back,
+                        back_face,
                     }) {
                         ControlFlow::Continue(limit) => t_max = limit,
                         ControlFlow::Break(()) => return Ok(()),
@@ -161,7 +167,7 @@ impl Queries<'_> {
         Ok(())
     }
 
-    /// Whether a camera ray would stop here: the kernel's rules.
+    /// Applies the kernel's hit rules for camera rays: back-face culling and alpha mask.
     fn is_accepted(
         &self,
         placement: &PlacedInstance<'_>,
@@ -170,10 +176,10 @@ impl Queries<'_> {
     ) -> bool {
         let instance = placement.instance;
         let flags = InstanceFlags::from_bits_retain(instance.flags);
-        if crossing.back && flags.contains(InstanceFlags::CULL_BACK) {
+        if crossing.back_face && flags.contains(InstanceFlags::CULL_BACK) {
             return false;
         }
-        let [u, v] = [crossing.weights.y, crossing.weights.z].map(|weight| weight as f32);
+        let [u, v] = [crossing.barycentrics.y, crossing.barycentrics.z].map(|weight| weight as f32);
         let scene = KernelScene::new(self.compiler.arrays());
         !(flags.contains(InstanceFlags::ALPHA_MASK) && fails_alpha_test(&scene, instance, triangle, u, v))
     }

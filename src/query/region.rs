@@ -1,4 +1,4 @@
-//! Convex regions of the world: boxes, frustums, anything between planes.
+//! Convex regions of world space: boxes, frustums, any intersection of half spaces.
 
 use glam::{DAffine3, DVec3};
 
@@ -10,32 +10,33 @@ use crate::math::Bounds;
 /// One side of a plane: the points with `normal . point <= offset`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HalfSpace {
-    /// Points out of it; any length but zero.
+    /// Outward normal of the half space; any non-zero length.
     pub normal: DVec3,
-    /// Where the plane is: `normal . point` of its points.
+    /// `normal . point` of the points on the plane.
     pub offset: f64,
 }
 
 impl HalfSpace {
-    /// The half space that `normal` points out of, with this point on its plane.
+    /// The half space with this outward normal and this point on its plane.
     pub fn through(point: DVec3, normal: DVec3) -> Self {
         Self { normal, offset: normal.dot(point) }
     }
 }
 
-/// What lies in all of some half spaces, in world space: a convex region, with its boundary.
+/// A convex region of world space: the intersection of half spaces, including its boundary.
 ///
-/// [`View::frustum`](crate::View::frustum) makes one of what a camera sees.
+/// [`View::frustum`](crate::View::frustum) is the region that a camera sees.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Region {
     half_spaces: Vec<HalfSpace>,
 }
 
 impl Region {
-    /// Where all of these overlap; everywhere, without any.
+    /// The intersection of half spaces; all of space for an empty list.
     ///
     /// # Errors
-    /// [`Error::OutOfRange`](crate::Error::OutOfRange) for a half space with a number that is not finite, or a normal of zero.
+    /// [`Error::OutOfRange`](crate::Error::OutOfRange) if a half space has a number that is not finite, or a zero
+    /// normal.
     pub fn new(half_spaces: impl Into<Vec<HalfSpace>>) -> Result<Self> {
         let half_spaces = half_spaces.into();
         for half_space in &half_spaces {
@@ -46,10 +47,10 @@ impl Region {
         Ok(Self { half_spaces })
     }
 
-    /// A box along the world's axes.
+    /// An axis-aligned box in world space.
     ///
     /// # Errors
-    /// [`Error::OutOfRange`](crate::Error::OutOfRange) for a box that is empty or not finite.
+    /// [`Error::OutOfRange`](crate::Error::OutOfRange) if the box is empty or not finite.
     pub fn new_box(bounds: &Bounds) -> Result<Self> {
         let is_box = bounds.min.is_finite() && bounds.max.is_finite() && !bounds.is_empty();
         require(is_box, "box", bounds, "finite, with no lower corner above the upper one")?;
@@ -58,33 +59,34 @@ impl Region {
         Self::new(sides.concat())
     }
 
-    /// What it lies between.
+    /// The half spaces of the region.
     pub fn half_spaces(&self) -> &[HalfSpace] {
         &self.half_spaces
     }
 }
 
-/// How a box lies to a region.
+/// Classification of a box against a region.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Containment {
     Outside,
+    /// Neither; conservative, so the box may still be outside.
     Intersecting,
     Inside,
 }
 
-/// A region in the space of one level.
+/// A region prepared for traversal, in world space for the Tlas or in local space for a Blas.
 pub(super) struct TraversalRegion {
     half_spaces: Vec<HalfSpace>,
 }
 
 impl TraversalRegion {
-    /// The region where `origin` is the origin.
+    /// The region relative to the render origin.
     pub(super) fn relative(region: &Region, origin: DVec3) -> Self {
         let shift = |half: &HalfSpace| HalfSpace { offset: half.offset - half.normal.dot(origin), ..*half };
         Self { half_spaces: region.half_spaces.iter().map(shift).collect() }
     }
 
-    /// The region in local space.
+    /// The region in the local space of an instance.
     pub(super) fn transformed(&self, world_from_local: &DAffine3) -> Self {
         let to_local = world_from_local.matrix3.transpose();
         let transform = |half: &HalfSpace| HalfSpace {
@@ -94,30 +96,31 @@ impl TraversalRegion {
         Self { half_spaces: self.half_spaces.iter().map(transform).collect() }
     }
 
-    /// How the box of a node lies to it. `Intersecting` is a maybe.
+    /// Classifies the box of a node: its centre and half extents are projected onto each normal.
     pub(super) fn classify_box(&self, node: &Node) -> Containment {
         let [min, max] = [super::to_dvec3(node.min), super::to_dvec3(node.max)];
         let (center, half) = ((min + max) * 0.5, (max - min) * 0.5);
-        let mut side = Containment::Inside;
+        let mut containment = Containment::Inside;
         for half_space in &self.half_spaces {
-            let height = half_space.normal.dot(center) - half_space.offset;
-            let reach = half_space.normal.abs().dot(half);
-            if height > reach {
+            let distance = half_space.signed_distance(center);
+            let extent = half_space.normal.abs().dot(half);
+            if distance > extent {
                 return Containment::Outside;
             }
-            if height > -reach {
-                side = Containment::Intersecting;
+            if distance > -extent {
+                containment = Containment::Intersecting;
             }
         }
-        side
+        containment
     }
 
+    /// Whether the point is in the region or on its boundary.
     pub(super) fn contains(&self, point: DVec3) -> bool {
         self.half_spaces.iter().all(|half_space| half_space.signed_distance(point) <= 0.0)
     }
 
-    /// Whether any of the triangle lies in it: clips it by one plane after the other (I. Sutherland, G. Hodgman, *Reentrant
-    /// Polygon Clipping*, 1974).
+    /// Whether any part of the triangle is in the region: clips it by one plane after the other (I. Sutherland, G.
+    /// Hodgman, *Reentrant Polygon Clipping*, 1974).
     pub(super) fn overlaps_triangle(&self, triangle: [DVec3; 3], clipper: &mut Clipper) -> bool {
         clipper.polygon.clear();
         clipper.polygon.extend(triangle);
@@ -126,13 +129,13 @@ impl TraversalRegion {
 }
 
 impl HalfSpace {
-    /// How far the point is out of it, in units of the normal's length.
+    /// Signed distance to the plane, positive outside, in units of the normal's length.
     fn signed_distance(&self, point: DVec3) -> f64 {
         self.normal.dot(point) - self.offset
     }
 }
 
-/// A convex polygon, and room for what is left of it.
+/// A convex polygon, and a buffer for its clipped successor; both are reused.
 #[derive(Default)]
 pub(super) struct Clipper {
     polygon: Vec<DVec3>,
@@ -140,20 +143,22 @@ pub(super) struct Clipper {
 }
 
 impl Clipper {
-    /// Keeps what lies in the half space; whether anything does.
+    /// Clips the polygon to the half space. Returns whether any of it is left.
     fn clip(&mut self, half_space: &HalfSpace) -> bool {
+        // Walk the edges, each from the previous corner to the next.
         self.clipped.clear();
         let Some(&(mut previous)) = self.polygon.last() else { return false };
-        let mut previous_height = half_space.signed_distance(previous);
+        let mut previous_distance = half_space.signed_distance(previous);
         for &corner in &self.polygon {
-            let height = half_space.signed_distance(corner);
-            if (height > 0.0) != (previous_height > 0.0) {
-                self.clipped.push(previous.lerp(corner, previous_height / (previous_height - height)));
+            let distance = half_space.signed_distance(corner);
+            // An edge across the plane adds its intersection, and a corner inside adds itself.
+            if (distance > 0.0) != (previous_distance > 0.0) {
+                self.clipped.push(previous.lerp(corner, previous_distance / (previous_distance - distance)));
             }
-            if height <= 0.0 {
+            if distance <= 0.0 {
                 self.clipped.push(corner);
             }
-            (previous, previous_height) = (corner, height);
+            (previous, previous_distance) = (corner, distance);
         }
         std::mem::swap(&mut self.polygon, &mut self.clipped);
         !self.polygon.is_empty()

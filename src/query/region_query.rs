@@ -1,4 +1,4 @@
-//! Queries by region: what overlaps it.
+//! Region queries: the nodes whose geometry overlaps a convex region.
 
 use super::region::{Clipper, Containment, Region, TraversalRegion};
 use super::{PlacedInstance, Queries, to_dvec3};
@@ -8,27 +8,28 @@ use crate::graph::NodePath;
 /// How much of a node's geometry must lie in a region.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Overlap {
-    /// Some point of a triangle at least.
+    /// At least one point of a triangle.
     Touching,
-    /// Every triangle, entirely.
+    /// Every triangle, completely.
     Inside,
 }
 
-/// By region.
+/// Region queries.
 impl Queries<'_> {
-    /// The nodes whose geometry overlaps the region, exactly: by triangles, not by boxes, where boxes do not decide it already.
-    /// Only surfaces are asked: a region deep within a closed mesh touches nothing. A node that comes closer to the boundary
-    /// than positions are rounded may be found or not. O(log triangles) for each node at the boundary, as a rule, and
-    /// O(log instances) for each that lies well inside.
+    /// The nodes whose geometry overlaps the region. The test is exact: triangles are tested where boxes do not decide
+    /// already. Only surfaces are tested: a region strictly inside a closed mesh overlaps nothing. A node that comes
+    /// closer to the boundary than the rounding of positions may be found or not. O(log triangles) on average for each
+    /// node at the boundary, and O(log instances) for each that lies well inside.
     pub fn overlapping(&self, region: &Region, overlap: Overlap) -> Vec<NodePath> {
         let world = TraversalRegion::relative(region, self.compiler.origin());
         let mut clipper = Clipper::default();
-        let mut slots = Vec::new();
-        let mut top = self.traverse_tlas();
-        while let Some(leaf) = top.next_leaf(|node| world.classify_box(node) != Containment::Outside) {
-            let Some((slot, instance)) = self.instance(leaf) else { continue };
+        let mut instances = Vec::new();
+        // For each leaf of the Tlas that is not outside: inside as a whole, or a traversal of its Blas decides.
+        let mut tlas = self.traverse_tlas();
+        while let Some(leaf) = tlas.next_leaf(|node| world.classify_box(node) != Containment::Outside) {
+            let Some((instance_index, instance)) = self.instance(leaf) else { continue };
             let is_found = world.classify_box(leaf) == Containment::Inside || {
-                let placement = PlacedInstance::new(slot, instance);
+                let placement = PlacedInstance::new(instance_index, instance);
                 let local = world.transformed(&placement.world_from_local);
                 match overlap {
                     Overlap::Touching => self.touches(&placement, &local, &mut clipper),
@@ -36,47 +37,48 @@ impl Queries<'_> {
                 }
             };
             if is_found {
-                slots.push(slot);
+                instances.push(instance_index);
             }
         }
-        self.paths(slots)
+        self.paths(instances)
     }
 
-    /// Whether some triangle meets the region.
+    /// Whether some triangle overlaps the region.
     fn touches(&self, placement: &PlacedInstance<'_>, region: &TraversalRegion, clipper: &mut Clipper) -> bool {
-        let mut bottom = self.traverse_blas(placement);
-        // A box that lies inside has triangles, which lie there too.
-        let mut is_sure = false;
+        let mut blas = self.traverse_blas(placement);
+        // A box fully inside the region contains at least one triangle, so the answer is yes.
+        let mut contains_a_box = false;
         let mut enter = |node: &_| {
-            let side = region.classify_box(node);
-            is_sure |= side == Containment::Inside;
-            side == Containment::Intersecting && !is_sure
+            let containment = region.classify_box(node);
+            contains_a_box |= containment == Containment::Inside;
+            containment == Containment::Intersecting && !contains_a_box
         };
-        while let Some(leaf) = bottom.next_leaf(&mut enter) {
+        while let Some(leaf) = blas.next_leaf(&mut enter) {
             let (_, triangles) = self.triangles(placement, leaf.primitives);
             if triangles.iter().any(|triangle| region.overlaps_triangle(corners(triangle), clipper)) {
                 return true;
             }
         }
-        is_sure
+        contains_a_box
     }
 
     /// Whether every triangle lies in the region.
     fn is_inside(&self, placement: &PlacedInstance<'_>, region: &TraversalRegion) -> bool {
-        let mut bottom = self.traverse_blas(placement);
-        let mut is_out = false;
+        let mut blas = self.traverse_blas(placement);
+        // A box outside the region contains at least one triangle, so the answer is no.
+        let mut has_box_outside = false;
         let mut enter = |node: &_| {
-            let side = region.classify_box(node);
-            is_out |= side == Containment::Outside;
-            side == Containment::Intersecting && !is_out
+            let containment = region.classify_box(node);
+            has_box_outside |= containment == Containment::Outside;
+            containment == Containment::Intersecting && !has_box_outside
         };
-        while let Some(leaf) = bottom.next_leaf(&mut enter) {
+        while let Some(leaf) = blas.next_leaf(&mut enter) {
             let (_, triangles) = self.triangles(placement, leaf.primitives);
             if !triangles.iter().flat_map(corners).all(|corner| region.contains(corner)) {
                 return false;
             }
         }
-        !is_out
+        !has_box_outside
     }
 }
 

@@ -1,4 +1,4 @@
-//! What a renderer traces with, and what becomes of it when it fails.
+//! The renderer's tracer: how it is chosen, and how it is replaced after a device loss or lack of memory.
 
 use std::cell::Cell;
 
@@ -9,35 +9,36 @@ use crate::trace::gpu::{AdapterKinds, GpuOptions, GpuTracer};
 use crate::trace::{Cpu, Emulated, Tracer};
 use crate::{Error, Result};
 
-/// What traces the rays, and what is done when that fails with [`Error::DeviceLost`] or [`Error::OutOfMemory`]: the call
-/// during which it fails returns the error, the next one goes on as said here.
+/// Which tracer a renderer uses, and the policy after [`Error::DeviceLost`] or [`Error::OutOfMemory`]: the failing call
+/// returns the error, and the next call recovers as documented at each variant.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum DeviceChoice {
-    /// A hardware GPU if there is one, else the CPU. After a loss, a hardware GPU again if there still is one, else the CPU;
-    /// when its memory is used up, the CPU.
+    /// A hardware GPU if there is one, else the CPU. After a device loss: a hardware GPU if one is available, else the
+    /// CPU. After out-of-memory: the CPU.
     #[default]
     Auto,
-    /// A GPU, or a software implementation of one; an error if there is neither. After a loss, whichever is there then; when
-    /// its memory is used up, it is tried again.
+    /// A GPU, or a software implementation of one; an error if there is neither. After a device loss: whichever is
+    /// available then. After out-of-memory: the same device, tried again.
     Gpu,
     /// All CPU cores.
     Cpu,
-    /// The GPU kernel line for line on one CPU thread: the paper's "Emulated".
+    /// The Rust twin of the GPU kernel, on one CPU thread; for debugging. The paper calls it "Emulated".
     Emulated,
 }
 
-/// The executor of a renderer.
+/// The tracer of a renderer.
 pub(super) struct ActiveTracer {
-    /// Who chose the executor; `None` for the application, which then also answers for its failures.
+    /// The policy that chose the tracer; `None` if the application supplied it: the renderer then never replaces it.
     choice: Option<DeviceChoice>,
     tracer: Box<dyn Tracer>,
+    /// Why the CPU is used although `Auto` prefers a GPU.
     fallback: Option<String>,
-    /// What the next call must see to first.
+    /// A failure from which the next call must recover.
     failure: Cell<Option<Failure>>,
 }
 
-/// What a device did not survive.
+/// The kinds of failure after which the tracer may have to be replaced.
 #[derive(Clone, Copy)]
 enum Failure {
     DeviceLost,
@@ -45,6 +46,7 @@ enum Failure {
 }
 
 impl ActiveTracer {
+    /// Opens the tracer that a policy asks for.
     pub(super) fn open(choice: DeviceChoice) -> Result<Self> {
         let (tracer, fallback): (Box<dyn Tracer>, _) = match choice {
             DeviceChoice::Cpu => (Box::new(Cpu::default()), None),
@@ -58,11 +60,12 @@ impl ActiveTracer {
         Ok(Self { choice: Some(choice), fallback, ..Self::from_tracer(tracer) })
     }
 
+    /// Takes a tracer of the application.
     pub(super) fn from_tracer(tracer: Box<dyn Tracer>) -> Self {
         Self { choice: None, tracer, fallback: None, failure: Cell::new(None) }
     }
 
-    /// Why the CPU traces where a GPU was wanted.
+    /// Why the CPU is used although `Auto` prefers a GPU; `None` if it is not, or another policy was chosen.
     pub(super) fn fallback(&self) -> Option<&str> {
         self.fallback.as_deref()
     }
@@ -75,7 +78,7 @@ impl ActiveTracer {
         &mut *self.tracer
     }
 
-    /// Passes a result of the tracer on; of a failure that it does not survive, a note stays.
+    /// Returns `result` unchanged. A device loss or lack of memory in it is remembered for [`recover`](Self::recover).
     pub(super) fn record_failure<T>(&self, result: Result<T>) -> Result<T> {
         match &result {
             Err(Error::DeviceLost { .. }) => self.failure.set(Some(Failure::DeviceLost)),
@@ -85,21 +88,25 @@ impl ActiveTracer {
         result
     }
 
-    /// Recovers from the failure of an earlier call, if there was one. The new tracer holds nothing yet.
+    /// Recovers from the failure of an earlier call, if there was one. A new tracer has no scene yet: the next upload
+    /// copies everything.
     pub(super) fn recover(&mut self) -> Result<()> {
         match (self.choice, self.failure.get()) {
+            // A lost device is opened again, as the policy chooses now.
             (Some(choice), Some(Failure::DeviceLost)) => *self = Self::open(choice)?,
+            // Out of memory: `Auto` goes on with the CPU.
             (Some(DeviceChoice::Auto), Some(Failure::OutOfMemory)) => {
                 let fallback = Some("the GPU had no memory left".to_owned());
                 *self = Self { choice: self.choice, fallback, ..Self::from_tracer(Box::new(Cpu::default())) };
             }
+            // Everything else is tried again with the same tracer.
             _ => self.failure.set(None),
         }
         Ok(())
     }
 }
 
-/// A GPU; where it was asked for by name, a software one too.
+/// Opens a GPU. With [`DeviceChoice::Gpu`] a software adapter (llvmpipe, WARP) is accepted too.
 #[cfg(feature = "gpu")]
 fn open_gpu(choice: DeviceChoice) -> Result<Box<dyn Tracer>> {
     let adapters = if choice == DeviceChoice::Gpu { AdapterKinds::IncludingSoftware } else { AdapterKinds::Hardware };
@@ -129,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn auto_comes_down_to_the_cpu_when_memory_is_used_up_and_says_why() {
+    fn auto_falls_back_to_the_cpu_when_memory_is_used_up_and_says_why() {
         let emulated = Box::new(Emulated::default());
         let mut device = ActiveTracer { choice: Some(DeviceChoice::Auto), ..ActiveTracer::from_tracer(emulated) };
         fail(&device, Error::Gpu { during: "a test", message: String::new() });
@@ -142,8 +149,8 @@ mod tests {
     }
 
     #[test]
-    fn a_lost_device_is_opened_anew_once() {
-        // The device that is opened for this choice is not the one that was there.
+    fn a_lost_device_is_opened_again_once() {
+        // The choice opens another tracer than the one that fails, so that they can be told apart.
         let emulated = Box::new(Emulated::default());
         let mut device = ActiveTracer { choice: Some(DeviceChoice::Cpu), ..ActiveTracer::from_tracer(emulated) };
         fail(&device, lost());
@@ -155,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_application_brought_stays() {
+    fn a_tracer_of_the_application_is_never_replaced() {
         let mut device = ActiveTracer::from_tracer(Box::new(Emulated::default()));
         for error in [lost(), out_of_memory()] {
             fail(&device, error);

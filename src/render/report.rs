@@ -1,4 +1,4 @@
-//! What a frame cost, and why.
+//! The frame report.
 
 use std::fmt;
 use std::time::Duration;
@@ -8,19 +8,20 @@ use serde::Serialize;
 use crate::compile::{CompileReport, seconds};
 use crate::trace::DeviceInfo;
 
-/// What one [`Renderer::render`](super::Renderer::render) did and why, so that cost can be asserted.
+/// Work and time of one [`Renderer::render`](super::Renderer::render); tests can assert on it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct FrameReport {
-    /// What traced it.
+    /// The tracer that traced the frame.
     pub device: DeviceInfo,
-    /// What became of the scene's acceleration structures.
+    /// Acceleration structures built, refitted, patched or kept, and what the scene consists of.
     pub compile: CompileReport,
-    /// Bytes copied to the device: 0 for an unchanged scene, and on the CPU, which reads the arrays where they are.
+    /// Bytes copied to the device: 0 for an unchanged scene, and on the CPU, which reads the arrays in place.
     pub uploaded_bytes: u64,
     /// Time to copy them, in seconds.
     #[serde(serialize_with = "seconds")]
     pub upload_time: Duration,
-    /// Time to trace the frame, in seconds. On the GPU, until its commands are submitted.
+    /// CPU time of the trace call, in seconds; on a GPU this ends when the commands are submitted.
     #[serde(serialize_with = "seconds")]
     pub trace_time: Duration,
     /// Time of the whole call, in seconds.
@@ -29,7 +30,7 @@ pub struct FrameReport {
 }
 
 impl FrameReport {
-    /// The time that was not spent tracing.
+    /// The time of the call that was not spent tracing.
     pub fn overhead(&self) -> Duration {
         self.total_time.saturating_sub(self.trace_time)
     }
@@ -40,8 +41,8 @@ impl fmt::Display for FrameReport {
         let c = &self.compile;
         write!(
             f,
-            "{}: top level {}, {} bottom-level built ({} triangles), {} refitted ({} triangles), {} bytes uploaded; \
-             {:.2} ms update, {:.2} ms bottom level, {:.2} ms top level, {:.2} ms upload, {:.2} ms trace",
+            "{}: TLAS {}, {} BLAS built ({} triangles), {} refitted ({} triangles), {} bytes uploaded; \
+             {:.2} ms update, {:.2} ms BLAS, {:.2} ms TLAS, {:.2} ms upload, {:.2} ms trace",
             self.device.executor,
             c.tlas,
             c.blas_built,

@@ -295,7 +295,7 @@ fn levels_of_detail_suit_the_size_in_the_image() {
         let mut compiler = Compiler::new();
         compiler.compile(scene, observer).unwrap();
         let hierarchy = scene.hierarchy().unwrap();
-        let shown = (0..2).find_map(|slot| compiler.instance(slot, hierarchy)).unwrap().path.node;
+        let shown = (0..2).find_map(|slot| compiler.instance_source(slot, hierarchy)).unwrap().path.node;
         scene.children(node).unwrap().position(|child| child == shown)
     };
     let at = |distance: f64| {

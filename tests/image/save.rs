@@ -13,7 +13,7 @@ use slotmap::{Key as _, KeyData};
 /// 3 by 2 pixels, none like another.
 fn gradient() -> Image {
     let color = (0..6).map(|i| [i as f32 * 0.1, 0.5, 3.0 - i as f32 * 0.7, 1.0]).collect();
-    Image { width: 3, height: 2, color, aovs: None }
+    Image::new(3, 2, color)
 }
 
 fn names_in(folder: &Path) -> Vec<String> {
@@ -39,12 +39,12 @@ fn png_holds_the_tone_mapped_pixels() {
 #[test]
 fn exr_holds_the_linear_pixels_and_the_aovs_bit_for_bit() {
     let mut image = gradient();
-    image.aovs = Some(Aovs {
-        depth: vec![0.5, 1.5, f32::INFINITY, 1e-20, 1e20, 3.0],
-        normal: (0..6).map(|i| [0.0, i as f32 / 6.0, -1.0]).collect(),
-        node: (0..6).map(|i| NodeKey::from(KeyData::from_ffi(i << 32 | 0x1_0000_0007))).collect(),
-        triangle: vec![0, 1, 2, 16_777_217, u32::MAX - 1, u32::MAX],
-    });
+    image.aovs = Some(Aovs::new(
+        vec![0.5, 1.5, f32::INFINITY, 1e-20, 1e20, 3.0],
+        (0..6).map(|i| [0.0, i as f32 / 6.0, -1.0]).collect(),
+        (0..6).map(|i| NodeKey::from(KeyData::from_ffi(i << 32 | 0x1_0000_0007))).collect(),
+        vec![0, 1, 2, 16_777_217, u32::MAX - 1, u32::MAX],
+    ));
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("out.exr");
     image.save(&path).unwrap();
@@ -133,7 +133,7 @@ fn a_failed_write_leaves_the_old_file_and_no_other() {
     assert!(matches!(short.save(&path).unwrap_err(), Error::OutOfRange { .. }));
 
     for name in ["out.png", "out.exr"] {
-        let empty = Image { width: 0, height: 0, color: Vec::new(), aovs: None };
+        let empty = Image::new(0, 0, Vec::new());
         let error = empty.save(folder.path().join(name)).unwrap_err();
         assert!(matches!(error, Error::Image { .. }), "{name}: {error}");
     }

@@ -1,0 +1,59 @@
+//! From a member to its device record: the one place that reads several tables.
+
+use bytemuck::Zeroable as _;
+use glam::DVec3;
+
+use super::geometry_table::GeometryTable;
+use super::instance_table::{CompiledInstance, Member};
+use super::material_table::MaterialTable;
+use super::pack::InstanceTransform;
+use super::view_dependent::ViewDependentState;
+use crate::device::Needs;
+use crate::device::layout::{InstanceFlags, InstanceRecord};
+use crate::graph::Hierarchy;
+use crate::math::Aabb;
+
+/// Everything that an instance record is computed from.
+#[derive(Clone, Copy)]
+pub(super) struct RecordInputs<'a> {
+    pub(super) hierarchy: &'a Hierarchy,
+    pub(super) view: &'a ViewDependentState,
+    pub(super) geometries: &'a GeometryTable,
+    pub(super) materials: &'a MaterialTable,
+    /// The render origin.
+    pub(super) origin: DVec3,
+}
+
+/// The record, world box and triangle count of an instance; a zero record and an empty box if no ray can hit it.
+pub(super) fn instance_record(member: &Member, inputs: &RecordInputs<'_>) -> CompiledInstance {
+    let unhittable =
+        |triangle_count| CompiledInstance { record: InstanceRecord::zeroed(), bounds: Aabb::EMPTY, triangle_count };
+    // 1. The assets. All that members use were stored before records are written.
+    let (Some(geometry), Some(material)) =
+        (inputs.geometries.get(member.geometry), inputs.materials.get(member.material))
+    else {
+        return unhittable(0);
+    };
+    // 2. No triangle can be hit: there are none, or all are degenerate.
+    if geometry.nodes.is_empty() {
+        return unhittable(geometry.triangle_count());
+    }
+    // 3. The transform and the world box; a matrix that is singular or beyond f32 has none.
+    let entry = member.entry as usize;
+    let world_from_local = inputs.view.world_from_local(inputs.hierarchy, entry);
+    let Some(transform) = InstanceTransform::new(&world_from_local, inputs.origin, &geometry.support) else {
+        return unhittable(geometry.triangle_count());
+    };
+    // 4. Offsets into the device arrays, flags, and the record.
+    let indices =
+        [geometry.nodes.start, geometry.triangles.start, geometry.streams.record.start, material.record.start];
+    let mask = inputs.hierarchy.resolved()[entry].mask;
+    let mut flags = material.instance_flags;
+    flags.set(InstanceFlags::THIN, material.needs.contains(Needs::REFRACTION) && !geometry.is_closed_surface());
+    flags.set(InstanceFlags::HAS_DUPLICATES, geometry.has_duplicates);
+    CompiledInstance {
+        record: transform.instance_record(indices, mask, flags, member.node),
+        bounds: transform.bounds,
+        triangle_count: geometry.triangle_count(),
+    }
+}
