@@ -2,7 +2,7 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use crate::device::layout::{NONE, Node, PrimitiveRange};
+use crate::device::layout::{NONE, Node};
 
 /// A way through one hierarchy, from leaf to leaf. No stack: where a box is not entered, its escape index says how to go on.
 pub(super) struct StacklessTraversal<'a> {
@@ -18,7 +18,7 @@ impl<'a> StacklessTraversal<'a> {
     /// `nodes` starts with the hierarchy's first node; what lies behind its last is never read.
     pub(super) fn new(nodes: &'a [Node], total: &'a AtomicU64) -> Self {
         // A hierarchy of nothing is absent, zero or unused.
-        let is_empty = nodes.first().is_none_or(|node| node.escape_index == 0 || node.is_empty());
+        let is_empty = nodes.first().is_none_or(Node::is_empty_root);
         Self { nodes, index: if is_empty { NONE } else { 0 }, visited: 0, total }
     }
 
@@ -30,7 +30,7 @@ impl<'a> StacklessTraversal<'a> {
             self.visited += 1;
             if node.is_empty() || !entered(node) {
                 self.index = node.escape_index;
-            } else if node.primitives == PrimitiveRange::INNER {
+            } else if !node.is_leaf() {
                 self.index += 1;
             } else {
                 self.index = node.escape_index;
@@ -44,7 +44,7 @@ impl<'a> StacklessTraversal<'a> {
     pub(super) fn descend_to_nearest_leaf(mut self, cost: impl Fn(&Node) -> f64) -> Option<&'a Node> {
         while self.index != NONE {
             let node = &self.nodes[self.index as usize];
-            if node.primitives != PrimitiveRange::INNER {
+            if node.is_leaf() {
                 return Some(node);
             }
             let (mut least, mut child) = (f64::INFINITY, self.index + 1);
