@@ -1,25 +1,27 @@
-//! The padding of boxes: how far a node's box lies outside of what it holds.
+//! The padding of node boxes: how far a box extends beyond its contents.
 
 use glam::{Vec3, Vec4, Vec4Swizzles};
 
 use super::tree::SimdAabb;
 
-/// The box moved outward on every side: by 2 to 4 ulp of the coordinate, 2^-22 of the box's longest side and the smallest
-/// normal number.
+/// Pads a box on every side by 2 to 4 ulp of the coordinate, 2^-22 of the box's longest side, and the smallest normal
+/// float.
 ///
-/// A slab test misses rays that lie exactly in a face plane, and all rays through a flat box. Ulps alone do not help a
-/// flat box at coordinate 0, hence the share of the longest side; nor would a subnormal number, which a GPU may take for
-/// zero. A box inside another stays inside: every operation here is monotonic. The result is finite.
+/// Without padding the slab test misses rays that lie in a face plane, and all rays through a flat box. Ulps alone do
+/// not help a flat box at coordinate 0, hence the share of the longest side; the smallest normal float serves a box
+/// that is a point (a subnormal would be flushed to zero on some GPUs). Every operation is monotonic, so a box inside
+/// another stays inside. The result is finite.
 pub(super) fn pad_corners(min: Vec3, max: Vec3) -> (Vec3, Vec3) {
     let padded = pad_bounds(SimdAabb { min: min.extend(0.0), max: max.extend(0.0) });
     (padded.min.xyz(), padded.max.xyz())
 }
 
-/// The same, four lanes at a time.
+/// [`pad_corners`] on 4-lane vectors.
 #[inline]
 pub(super) fn pad_bounds(SimdAabb { min, max }: SimdAabb) -> SimdAabb {
     const ULPS: f32 = 1.0 / (1 << 22) as f32;
-    // What is in the fourth lanes may be a subnormal number, which would slow the other lanes a hundredfold.
+    // The fourth lanes may hold indices, whose bits may be subnormal floats and would slow the arithmetic a
+    // hundredfold: clear them.
     let (min, max) = (min.with_w(0.0), max.with_w(0.0));
     let half_side = (max * 0.5 - min * 0.5).max_element();
     let margin = Vec4::splat(half_side * (2.0 * ULPS) + f32::MIN_POSITIVE);

@@ -1,20 +1,21 @@
-//! How far a geometry reaches in any direction: its support function, for tight boxes of placed geometries.
+//! The support function of a geometry, h(d) = the largest dot product of a point with direction d, which gives tight
+//! world boxes of transformed geometries.
 
 use glam::{DAffine3, DVec3, Vec3};
 
 use super::Blas;
-use crate::device::layout::{Node, PrimitiveRange, Triangle};
+use crate::device::layout::{Node, Triangle};
 use crate::math::{Aabb, Bounds};
 
-/// What it takes to find the box around a transformed geometry in well under a microsecond, however many triangles it has.
+/// A sampled support function: the box of a transformed geometry in well under a microsecond, whatever the number of
+/// triangles.
 ///
-/// - Of a geometry with at most 64 different corners these are kept: the box is exact.
-/// - Of others it is kept how far they reach in some directions: the vectors from the centre of a cube to the points of a grid
-///   on its surface, 16 by 16 cells a face from 16,384 triangles on, else 8 by 8. How far is a convex function on each face, so
-///   interpolating it between the corners of a triangle of the grid never gives too little. It gives too much by at most 0.09
-///   (0.18 for 8 cells) of half the diagonal of the geometry's box (where an edge of its hull is seen end on), by 0.004 (0.016) of
-///   the radius for a sphere, and by nothing along the axes of the local space. Where the transformed box of the geometry
-///   is smaller, that counts.
+/// A geometry with at most 64 distinct vertices keeps them, and its box is exact. For others the function is sampled at
+/// grid directions: from the centre of a cube to grid points on its surface, 16 by 16 cells a face from 16,384
+/// triangles on, else 8 by 8. The function is convex on each face, so linear interpolation on a grid triangle never
+/// underestimates it. It overestimates by at most 0.09 (0.18 for 8 cells) of the half diagonal of the local box, by
+/// 0.004 (0.016) of the radius for a sphere, and by nothing along the local axes. Where the transformed local box is
+/// smaller along an axis, that is taken.
 ///
 /// Memory: at most 7 kB, 2 kB for 8 cells.
 #[derive(Clone, Debug)]
@@ -24,47 +25,49 @@ pub struct SupportFunction {
 }
 
 impl Default for SupportFunction {
-    /// Of nothing.
+    /// The support function of an empty geometry.
     fn default() -> Self {
-        Self { bounds: Bounds::EMPTY, shape: SupportSamples::Corners(Vec::new()) }
+        Self { bounds: Bounds::EMPTY, shape: SupportSamples::Vertices(Vec::new()) }
     }
 }
 
 #[derive(Clone, Debug)]
 enum SupportSamples {
-    /// All corners.
-    Corners(Vec<Vec3>),
+    /// The distinct vertices of all triangles.
+    Vertices(Vec<Vec3>),
+    /// Samples at grid directions.
     Grid(DirectionGrid),
 }
 
-/// Geometries with so many different corners or fewer keep them.
+/// The most distinct vertices for which the exact form is kept.
 const MAX_EXACT_VERTICES: usize = 64;
 
-/// Geometries with so many triangles get the finer grid: its cost is small beside that of their hierarchy.
+/// From this many triangles on the finer grid is used: sampling it then takes little time beside building the
+/// hierarchy.
 const FINE_GRID_TRIANGLES: usize = 1 << 14;
 
-/// What has just been refitted gets a grid with so many cells along an edge.
+/// Cells along a cube edge for a geometry that was just refitted.
 const REFIT_GRID_CELLS: usize = 2;
 
-/// How far a geometry reaches from the centre of its box, in units of half the box's diagonal.
+/// Samples of the support function relative to the centre of the local box, in units of the box's half diagonal.
 #[derive(Clone, Debug)]
 struct DirectionGrid {
-    /// Along an edge of the cube; even, so that the axes are vectors of the grid.
+    /// Cells along an edge of the cube. Even, so that the axes are grid directions.
     cells: usize,
-    /// For each vector, see [`index`](Self::index).
+    /// The sample at each grid direction, see [`index`](Self::index).
     support_values: Box<[f32]>,
 }
 
 impl SupportFunction {
-    /// Of the triangles of a bottom-level structure. It costs a search through the hierarchy for each direction, each starting
-    /// with what the one before has found: 1 ms for the Stanford dragon.
+    /// Samples the support function of a bottom-level structure. Each grid direction takes one traversal of the
+    /// hierarchy, started with the support point of the direction before: 1 ms for the Stanford dragon.
     pub fn new(blas: &Blas) -> Self {
         let cells = if blas.triangles.len() < FINE_GRID_TRIANGLES { 8 } else { 16 };
         Self::with_cells(&blas.nodes, &blas.triangles, blas.bounds, cells)
     }
 
-    /// The same of a structure that was just refitted, in little time beside that of the refit: with 2 by 2 cells a face, boxes are
-    /// larger (of a sphere, a fifth in area).
+    /// The same for a structure that was just refitted, at a small fraction of the refit's time: 2 by 2 cells a face,
+    /// whose boxes are looser (a fifth larger in area for a sphere).
     pub(crate) fn coarse(nodes: &[Node], triangles: &[Triangle], bounds: Aabb) -> Self {
         Self::with_cells(nodes, triangles, bounds, REFIT_GRID_CELLS)
     }
@@ -72,28 +75,30 @@ impl SupportFunction {
     fn with_cells(nodes: &[Node], triangles: &[Triangle], bounds: Aabb, cells: usize) -> Self {
         let bounds = Bounds::from(bounds);
         let shape = match distinct_vertices(triangles) {
-            Some(corners) => SupportSamples::Corners(corners),
+            Some(vertices) => SupportSamples::Vertices(vertices),
             None => SupportSamples::Grid(DirectionGrid::new(nodes, triangles, &bounds, cells)),
         };
         Self { bounds, shape }
     }
 
-    /// A box around the transformed geometry, in the space that `world_from_local` leads to; empty if there is nothing to hit.
-    /// The result is rounded: by some ulp of the coordinates, in f64.
+    /// A box around the transformed geometry, in the target space of `world_from_local`; empty for an empty geometry.
+    /// Computed in f64 and not rounded outward: it may be off by a few ulp of the coordinates.
     pub fn world_bounds(&self, world_from_local: &DAffine3) -> Bounds {
         match &self.shape {
-            SupportSamples::Corners(corners) => corners.iter().fold(Bounds::EMPTY, |bounds, corner| {
-                let corner = world_from_local.transform_point3(corner.as_dvec3());
-                bounds.union(Bounds { min: corner, max: corner })
+            SupportSamples::Vertices(vertices) => vertices.iter().fold(Bounds::EMPTY, |bounds, vertex| {
+                let vertex = world_from_local.transform_point3(vertex.as_dvec3());
+                bounds.union(Bounds { min: vertex, max: vertex })
             }),
             SupportSamples::Grid(grid) => {
                 let half = self.bounds.max * 0.5 - self.bounds.min * 0.5;
-                let unit = half.length();
+                let half_diagonal = half.length();
+                // The rows of the matrix are the world axes as directions in local space.
                 let rows = world_from_local.matrix3.transpose();
                 let center = world_from_local.transform_point3(self.bounds.center());
+                // The sampled support value, or that of the local box if it is smaller.
                 let reach = |direction: DVec3| {
-                    let of_box = direction.abs().dot(half);
-                    (grid.support_value(direction) * unit).min(of_box)
+                    let box_reach = direction.abs().dot(half);
+                    (grid.support_value(direction) * half_diagonal).min(box_reach)
                 };
                 let upper = DVec3::new(reach(rows.x_axis), reach(rows.y_axis), reach(rows.z_axis));
                 let lower = DVec3::new(reach(-rows.x_axis), reach(-rows.y_axis), reach(-rows.z_axis));
@@ -103,31 +108,34 @@ impl SupportFunction {
     }
 }
 
-/// The different corners of all triangles, if they are few.
+/// The distinct vertices of all triangles, or `None` if there are more than [`MAX_EXACT_VERTICES`].
 fn distinct_vertices(triangles: &[Triangle]) -> Option<Vec<Vec3>> {
-    // No closed surface has more triangles for its corners; others may keep the grid.
+    // A closed surface of v vertices has at most 2 v - 4 triangles, so one with more cannot qualify; open ones may use
+    // the grid.
     if triangles.len() > 2 * MAX_EXACT_VERTICES {
         return None;
     }
-    let mut corners: Vec<[f32; 3]> = triangles.iter().flat_map(|t| [t.v0, t.v1, t.v2]).collect();
-    corners.sort_unstable_by(|a, b| a.partial_cmp(b).unwrap_or(std::cmp::Ordering::Equal));
-    corners.dedup();
-    (corners.len() <= MAX_EXACT_VERTICES).then(|| corners.into_iter().map(Vec3::from).collect())
+    let mut vertices: Vec<[f32; 3]> = triangles.iter().flat_map(|t| [t.v0, t.v1, t.v2]).collect();
+    vertices.sort_unstable_by(|a, b| a.partial_cmp(b).unwrap_or(std::cmp::Ordering::Equal));
+    vertices.dedup();
+    (vertices.len() <= MAX_EXACT_VERTICES).then(|| vertices.into_iter().map(Vec3::from).collect())
 }
 
 impl DirectionGrid {
+    /// Samples the support function at all grid directions.
     fn new(nodes: &[Node], triangles: &[Triangle], bounds: &Bounds, cells: usize) -> Self {
         let mut grid = Self { cells, support_values: vec![0.0; 6 * (cells + 1) * (cells + 1)].into_boxed_slice() };
-        let (center, unit) = (bounds.center(), bounds.radius());
+        let (center, half_diagonal) = (bounds.center(), bounds.radius());
         let mut farthest = center;
         for face in 0..6 {
             for v in 0..=cells {
-                // There and back, so that one direction is near the next.
+                // Boustrophedon order: consecutive directions are neighbours, so that the previous support point is a
+                // good start.
                 for step in 0..=cells {
                     let u = if v % 2 == 0 { step } else { cells - step };
                     let direction = grid.grid_direction(face, u, v);
                     farthest = support_point(nodes, triangles, direction, farthest);
-                    let reach = ((farthest - center) / unit).dot(direction);
+                    let reach = ((farthest - center) / half_diagonal).dot(direction);
                     grid.support_values[grid.index(face, u, v)] = (reach as f32).next_up();
                 }
             }
@@ -135,24 +143,26 @@ impl DirectionGrid {
         grid
     }
 
-    /// Faces 0 to 2 look along the positive axes, 3 to 5 along the negative ones.
+    /// The grid direction at (u, v) of a face. Faces 0 to 2 are the positive x, y and z faces of the cube, 3 to 5 the
+    /// negative ones.
     fn grid_direction(&self, face: usize, u: usize, v: usize) -> DVec3 {
         let axis = face % 3;
         let coordinate = |point: usize| 2.0 * point as f64 / self.cells as f64 - 1.0;
-        let mut vector = DVec3::ZERO;
-        vector[axis] = if face < 3 { 1.0 } else { -1.0 };
-        vector[(axis + 1) % 3] = coordinate(u);
-        vector[(axis + 2) % 3] = coordinate(v);
-        vector
+        let mut direction = DVec3::ZERO;
+        direction[axis] = if face < 3 { 1.0 } else { -1.0 };
+        direction[(axis + 1) % 3] = coordinate(u);
+        direction[(axis + 2) % 3] = coordinate(v);
+        direction
     }
 
+    /// The index of a grid direction's sample.
     fn index(&self, face: usize, u: usize, v: usize) -> usize {
         (face * (self.cells + 1) + v) * (self.cells + 1) + u
     }
 
-    /// How far a geometry reaches along `direction`, or more.
+    /// An upper bound of the support function at `direction`, in half diagonals.
     fn support_value(&self, direction: DVec3) -> f64 {
-        // 1. The face of the cube that the direction goes through, and where.
+        // 1. The face of the cube that the direction goes through, and the point there, in cells.
         let length = direction.abs();
         let axis = if length.x >= length.y && length.x >= length.z { 0 } else { 1 + usize::from(length.z > length.y) };
         let depth = length[axis];
@@ -160,10 +170,10 @@ impl DirectionGrid {
             return 0.0;
         }
         let face = if direction[axis] > 0.0 { axis } else { axis + 3 };
-        let place = |axis: usize| (direction[axis % 3] / depth + 1.0) * (0.5 * self.cells as f64);
-        let [u, v] = [place(axis + 1), place(axis + 2)];
-        // 2. The triangle around that place, and how much of it is due to each corner.
-        let cell = |place: f64| (place as usize).min(self.cells - 1);
+        let coordinate = |axis: usize| (direction[axis % 3] / depth + 1.0) * (0.5 * self.cells as f64);
+        let [u, v] = [coordinate(axis + 1), coordinate(axis + 2)];
+        // 2. The grid triangle around that point, and the mean of its samples by barycentric weights.
+        let cell = |coordinate: f64| (coordinate as usize).min(self.cells - 1);
         let (i, j) = (cell(u), cell(v));
         let (s, t) = (u - i as f64, v - j as f64);
         let at = |u: usize, v: usize| f64::from(self.support_values[self.index(face, u, v)]);
@@ -177,29 +187,31 @@ impl DirectionGrid {
     }
 }
 
-/// The corner farthest along `direction`, or `start` if none is farther.
+/// The support point: the vertex farthest along `direction`, or `start` if none is farther.
 fn support_point(nodes: &[Node], triangles: &[Triangle], direction: DVec3, start: DVec3) -> DVec3 {
     let (mut farthest, mut reach) = (start, start.dot(direction));
+    // Traverse along escape indices.
     let mut index = 0;
     while let Some(node) = nodes.get(index) {
         let (min, max) = (Vec3::from(node.min).as_dvec3(), Vec3::from(node.max).as_dvec3());
-        let most = (min * direction).max(max * direction).element_sum();
-        if most > reach {
+        let box_reach = (min * direction).max(max * direction).element_sum();
+        if box_reach > reach {
+            // The box reaches farther than the best vertex: open an inner node, or test the vertices of a leaf.
             index += 1;
-            if node.primitives == PrimitiveRange::INNER {
+            if !node.is_leaf() {
                 continue;
             }
             let first = node.primitives.first_primitive() as usize;
             for triangle in &triangles[first..first + node.primitives.primitive_count() as usize] {
-                for corner in [triangle.v0, triangle.v1, triangle.v2] {
-                    let corner = Vec3::from(corner).as_dvec3();
-                    if corner.dot(direction) > reach {
-                        (farthest, reach) = (corner, corner.dot(direction));
+                for vertex in [triangle.v0, triangle.v1, triangle.v2] {
+                    let vertex = Vec3::from(vertex).as_dvec3();
+                    if vertex.dot(direction) > reach {
+                        (farthest, reach) = (vertex, vertex.dot(direction));
                     }
                 }
             }
         } else {
-            // NONE lies beyond the end.
+            // Else skip the subtree. `NONE` is beyond the end of the array and so ends the loop.
             index = node.escape_index as usize;
         }
     }

@@ -1,29 +1,47 @@
-//! What a builder makes: a binary tree over primitive boxes, not yet in device order.
+//! The output of every builder: a binary tree over primitive boxes, before it is written as device nodes.
 
 use bytemuck::{Pod, Zeroable};
 use glam::{Vec3, Vec4, Vec4Swizzles};
 
 use crate::math::Aabb;
 
+/// The depth down to which the top-down builder searches for splits. Deeper nodes are split at the median.
+pub(super) const MAX_SAH_DEPTH: u32 = 64;
+
+/// The most levels of a bottom-level hierarchy: below level 64 nodes are split at the median, and 2^28 primitives can
+/// be halved 28 times.
+pub const MAX_BLAS_DEPTH: usize = (MAX_SAH_DEPTH + 29) as usize;
+
+/// Constants of the cost model of the surface area heuristic (SAH).
+#[derive(Clone, Copy)]
+pub(super) struct SahParams {
+    /// The most primitives in a leaf.
+    pub(super) max_leaf_size: usize,
+    /// Cost of a primitive test, in units of one node fetch and box test.
+    pub(super) primitive_cost: f32,
+}
+
 /// A binary tree over primitives.
 ///
-/// Builders that fill subtrees side by side leave gaps in both arrays: a subtree of up to `n` leaves owns `2 n - 2` slots of
-/// `nodes` below its root, as many as it can have nodes there, and `n` of `primitive_indices`. Memory that is never touched costs nothing.
+/// Builders that fill subtrees in parallel reserve the worst case for each: `2 n - 2` elements of `nodes` below the
+/// root of a subtree of at most `n` leaves, and `n` elements of `primitive_indices`. Both arrays therefore have unused
+/// gaps; pages of them that are never written take no memory.
 #[derive(Default)]
 pub(super) struct BuildTree {
-    /// The root first, unless there is nothing at all; the two children of a node stand side by side.
+    /// The root is at index 0; empty for a tree without primitives. The two children of a node are adjacent.
     pub(super) nodes: Vec<BuildNode>,
-    /// Primitive numbers, a range for each leaf.
+    /// Primitive indices; each leaf refers to a range of them.
     pub(super) primitive_indices: Vec<u32>,
-    /// Whether a primitive may be in several leaves. None is in one leaf twice.
+    /// Whether a primitive may be in several leaves (spatial splits). No leaf holds the same primitive twice.
     pub(super) has_duplicates: bool,
 }
 
 impl BuildTree {
-    /// Adds the primitives below a node to the first `count` of `target`, each once. Returns how many there are then, or `None`
-    /// if they do not fit. Recursion is as deep as the tree.
+    /// Appends the primitives below `node`, without duplicates, to the first `count` elements of `target`. Returns the
+    /// new count, or `None` if `target` is too short. Recursion is as deep as the tree.
     pub(super) fn collect_primitives(&self, node: usize, target: &mut [u32], mut count: usize) -> Option<usize> {
         match self.nodes[node].contents() {
+            // A leaf: append its primitives, except those collected before.
             BuildNodeContent::Primitives(range) => {
                 for &primitive in &self.primitive_indices[range] {
                     if !(self.has_duplicates && target[..count].contains(&primitive)) {
@@ -33,6 +51,7 @@ impl BuildTree {
                 }
                 Some(count)
             }
+            // An inner node: collect both children.
             BuildNodeContent::Children(child) => {
                 let count = self.collect_primitives(child, target, count)?;
                 self.collect_primitives(child + 1, target, count)
@@ -46,23 +65,24 @@ impl BuildTree {
 #[derive(Clone, Copy, Pod, Zeroable)]
 pub(super) struct BuildNode {
     pub(super) min: Vec3,
-    /// Of an inner node its first child, of a leaf its first primitive in `primitive_indices`.
+    /// For an inner node the index of its first child; for a leaf the index of its first element in
+    /// `primitive_indices`.
     first_child_or_primitive: u32,
     pub(super) max: Vec3,
     /// 0 for an inner node.
     primitive_count: u32,
 }
 
-/// What is below a node.
+/// The children of an inner node or the primitives of a leaf.
 pub(super) enum BuildNodeContent {
-    /// The index of the first child; the second one is next to it.
+    /// The index of the first child; the second child follows it.
     Children(usize),
     /// A range of `primitive_indices`.
     Primitives(std::ops::Range<usize>),
 }
 
 impl BuildNode {
-    /// `first_child` is an index of the tree's nodes.
+    /// An inner node; `first_child` is an index into the tree's nodes.
     pub(super) fn inner(bounds: &SimdAabb, first_child: usize) -> Self {
         Self {
             min: bounds.min.xyz(),
@@ -72,7 +92,7 @@ impl BuildNode {
         }
     }
 
-    /// `first` is an index of the tree's order; there is at least one primitive.
+    /// A leaf of `count` primitives, at least one; `first` is an index into the tree's `primitive_indices`.
     pub(super) fn leaf(bounds: &SimdAabb, first: usize, count: usize) -> Self {
         Self {
             min: bounds.min.xyz(),
@@ -97,15 +117,15 @@ impl BuildNode {
     }
 }
 
-/// How many slots a subtree of so many leaves owns below its root.
+/// The most nodes that a binary subtree of `leaf_count` leaves has below its root.
 pub(super) fn max_node_count_below(leaf_count: usize) -> usize {
     2 * leaf_count.max(1) - 2
 }
 
-/// Subtrees of fewer primitives are built by one thread, and their nodes stand without gaps.
+/// Subtrees of fewer primitives are built by one thread; their nodes are written without gaps.
 pub(super) const PARALLEL_SUBTREE_THRESHOLD: usize = 1 << 10;
 
-/// A box in two SIMD registers; what is in the fourth lanes means nothing.
+/// A box as two 4-lane vectors. The fourth lanes are padding and may hold anything.
 #[derive(Clone, Copy, Zeroable)]
 pub(super) struct SimdAabb {
     pub(super) min: Vec4,
@@ -124,7 +144,7 @@ impl SimdAabb {
         Aabb { min: self.min.xyz(), max: self.max.xyz() }
     }
 
-    /// What is in both; a least corner is above the greatest one if nothing is.
+    /// The common part of two boxes; if they do not overlap, `min > max` on some axis.
     pub(super) fn intersection(self, other: Self) -> Self {
         Self { min: self.min.max(other.min), max: self.max.min(other.max) }
     }
@@ -134,7 +154,7 @@ impl SimdAabb {
         Self { min: self.min.min(point), max: self.max.max(point) }
     }
 
-    /// Half the surface area of the box scaled by `scale`.
+    /// Half the surface area after all lengths are multiplied by `scale`, in scaled units squared.
     #[inline]
     pub(super) fn half_area(self, scale: f32) -> f32 {
         let d = (self.max - self.min) * scale;
@@ -142,32 +162,32 @@ impl SimdAabb {
     }
 }
 
-/// The power of two that brings the longest side of a box to between 1 and 2, so that areas neither overflow nor vanish;
-/// infinite or zero for a box without a side of normal length.
+/// The power of two by which the longest side of a box comes to lie in [1, 2), so that scaled areas neither overflow
+/// nor underflow. Infinite for a box whose sides are all zero or subnormal, and zero for one with an infinite side.
 pub(super) fn normalizing_scale(bounds: &SimdAabb) -> f32 {
     let side = bounds.max - bounds.min;
     let longest = side.x.max(side.y).max(side.z);
     1.0 / f32::from_bits(longest.to_bits() & f32::INFINITY.to_bits())
 }
 
-/// A primitive as the builder moves it about: its box and its number. 32 bytes.
+/// A reference to a primitive as builders partition it: a box and a primitive index (Embree's `PrimRef`). 32 bytes.
 #[derive(Clone, Copy, Zeroable)]
 pub(super) struct PrimitiveReference {
-    /// The fourth lane holds the number, see [`NORMAL_FLOAT_BIT`].
+    /// Lanes x, y, z: the least corner of the box. Lane w: the primitive index, tagged with [`NORMAL_FLOAT_BIT`].
     min: Vec4,
     max: Vec4,
 }
 
-/// Set in the bits of a primitive number that travels in a float lane, so that every number below 2^28 is a normal float:
-/// subnormal operands would slow the arithmetic on the other lanes a hundredfold.
-const NORMAL_FLOAT_BIT: u32 = 0x4000_0000;
+/// An exponent bit that is set in an index stored in a float lane, so that every index below 2^29 reads as a normal
+/// float: a subnormal operand slows SIMD arithmetic on all lanes a hundredfold.
+pub(super) const NORMAL_FLOAT_BIT: u32 = 0x4000_0000;
 
 impl PrimitiveReference {
     pub(super) fn new(bounds: &Aabb, primitive: u32) -> Self {
         Self { min: bounds.min.extend(f32::from_bits(NORMAL_FLOAT_BIT | primitive)), max: bounds.max.extend(1.0) }
     }
 
-    /// The same primitive, of which only what is in `bounds` counts.
+    /// The same primitive with its box clipped to `bounds`: one part of a spatial split.
     pub(super) fn clipped_to(&self, bounds: &SimdAabb) -> Self {
         Self { min: bounds.min.with_w(self.min.w), max: bounds.max.with_w(1.0) }
     }
@@ -181,14 +201,16 @@ impl PrimitiveReference {
         SimdAabb { min: self.min, max: self.max }
     }
 
-    /// Twice the centre of the box: the builder only compares centres. Infinite if the sum overflows.
+    /// Twice the centre of the box, which saves a multiplication: builders only compare centres with each other.
+    /// Infinite if the sum overflows.
     #[inline]
     pub(super) fn doubled_center(&self) -> Vec4 {
         self.min + self.max
     }
 }
 
-/// The boxes of a set of references, and of their (doubled) centres.
+/// The box around a set of references, and the box around their centres. The top-down builder stores doubled centres,
+/// the Morton order of `agglomerative` halved ones.
 #[derive(Clone, Copy)]
 pub(super) struct ReferenceBounds {
     pub(super) bounds: SimdAabb,

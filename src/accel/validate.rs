@@ -1,11 +1,13 @@
-//! What must hold in every flattened hierarchy.
+//! The invariants of a flattened hierarchy, and the check for them.
+
+use std::fmt;
 
 use glam::Vec3;
 
 use crate::device::layout::{NONE, Node, PrimitiveRange};
 use crate::math::Aabb;
 
-/// How a hierarchy is broken: a defect of the builder, never of its input.
+/// An invariant that a hierarchy violates. It is always a defect of the builder, never of its input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum BvhError {
@@ -17,13 +19,13 @@ pub enum BvhError {
         /// Its escape index.
         escape_index: u32,
     },
-    /// A box does not contain what is below it, or is flat, or not finite.
-    #[error("the box of node {node} is flat, infinite or does not contain {content}")]
+    /// A box is flat or not finite, or does not contain what is below it.
+    #[error("the box of node {node} {fault}")]
     Box {
         /// The node.
         node: usize,
-        /// What sticks out: "its parent's share", "its primitives".
-        content: &'static str,
+        /// What is wrong with its box.
+        fault: BoxFault,
     },
     /// A leaf's primitives do not exist, are in another leaf too, or are out of order.
     #[error(
@@ -43,52 +45,80 @@ pub enum BvhError {
         /// The triangle's index in its geometry, or the instance.
         primitive: u32,
     },
-    /// A primitive is there twice.
-    #[error("primitive {primitive} is there more than once")]
+    /// A primitive occurs more often than allowed: in two leaves of a hierarchy without duplicates, or twice in one
+    /// leaf.
+    #[error("primitive {primitive} occurs more than once")]
     Repeated {
         /// The triangle's index in its geometry.
         primitive: u32,
     },
 }
 
-/// Checks escape order and containment. `leaf_bounds` gives the box of a leaf's primitives, or `None` for a range that must
-/// not be there; it is called in depth-first order.
+/// What is wrong with the box of a node.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum BoxFault {
+    /// It is flat along some axis, or not finite.
+    Degenerate,
+    /// It is not inside the box of the node's parent.
+    OutsideParent,
+    /// It does not contain the primitives of the leaf with a margin.
+    ExcludesPrimitives,
+}
+
+impl fmt::Display for BoxFault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Degenerate => "is flat or not finite",
+            Self::OutsideParent => "is not inside its parent's",
+            Self::ExcludesPrimitives => "does not contain its primitives with a margin",
+        })
+    }
+}
+
+/// Checks the escape indices and the boxes of all nodes. `leaf_bounds` returns the box of a leaf's primitives, or
+/// `None` if the range is invalid; it is called once per leaf in depth-first order.
 pub(super) fn validate_nodes(
     nodes: &[Node],
     mut leaf_bounds: impl FnMut(PrimitiveRange) -> Option<Aabb>,
 ) -> Result<(), BvhError> {
-    // The inner nodes around the current one, each with the end of its subtree.
+    // The enclosing inner nodes of the current node, each with the end of its subtree and its box.
     let mut ancestors: Vec<(usize, Aabb)> = Vec::new();
     for (index, node) in nodes.iter().enumerate() {
+        // 1. Leave the subtrees that end here.
         while ancestors.last().is_some_and(|&(end, _)| end == index) {
             ancestors.pop();
         }
-        let end = subtree_end(nodes, index, ancestors.last().map(|&(end, _)| end))?;
+        // 2. Its escape index leads to the end of its subtree.
+        let end = checked_subtree_end(nodes, index, ancestors.last().map(|&(end, _)| end))?;
+        // 3. Its box is finite and not flat.
         let bounds = bounds(node);
         let finite = bounds.min.is_finite() && bounds.max.is_finite();
         if !finite || !bounds.min.cmplt(bounds.max).all() {
-            return Err(BvhError::Box { node: index, content: "a point" });
+            return Err(BvhError::Box { node: index, fault: BoxFault::Degenerate });
         }
-        // An unused node lies outside; what is in use below one sticks out of it.
+        // 4. It lies in its parent's box. An unused node has a box outside of its parent's by design; a used node below
+        // an unused one is caught by its box.
         if !node.is_empty() && ancestors.last().is_some_and(|(_, parent)| !parent.contains(&bounds)) {
-            return Err(BvhError::Box { node: index, content: "less than its parent" });
+            return Err(BvhError::Box { node: index, fault: BoxFault::OutsideParent });
         }
-        if node.primitives == PrimitiveRange::INNER {
+        if !node.is_leaf() {
             if end > index + 1 {
                 ancestors.push((end, bounds));
             }
             continue;
         }
+        // 5. A leaf's primitives lie in its box.
         let (first, count) = (node.primitives.first_primitive(), node.primitives.primitive_count());
         let content = leaf_bounds(node.primitives).ok_or(BvhError::Leaf { node: index, first, count })?;
         if !has_margin(&bounds, &content) {
-            return Err(BvhError::Box { node: index, content: "its primitives with a margin" });
+            return Err(BvhError::Box { node: index, fault: BoxFault::ExcludesPrimitives });
         }
     }
     Ok(())
 }
 
-/// Whether `content` lies strictly inside, or where no float is farther out.
+/// Whether `content` lies strictly inside `bounds`; a face may coincide only at the largest finite f32.
 fn has_margin(bounds: &Aabb, content: &Aabb) -> bool {
     let farthest = Vec3::splat(f32::MAX);
     let min = bounds.min.cmplt(content.min) | content.min.cmpeq(-farthest);
@@ -96,16 +126,16 @@ fn has_margin(bounds: &Aabb, content: &Aabb) -> bool {
     bounds.contains(content) && (min & max).all()
 }
 
-/// The index after the node's subtree: one further for a leaf, at least three further (two children) for an inner node or one
-/// for an unused leaf that is not the last node, and not past the parent's end.
-fn subtree_end(nodes: &[Node], index: usize, parent_end: Option<usize>) -> Result<usize, BvhError> {
+/// The index after the node's subtree, checked: `index + 1` for a leaf, at least `index + 3` for an inner node (two
+/// children), `index + 1` for an unused leaf that is not the last node; never past the parent's end.
+fn checked_subtree_end(nodes: &[Node], index: usize, parent_end: Option<usize>) -> Result<usize, BvhError> {
     let node = &nodes[index];
-    let end = if node.escape_index == NONE { nodes.len() } else { node.escape_index as usize };
-    let is_leaf = node.primitives != PrimitiveRange::INNER;
+    let end = node.subtree_end(nodes.len());
     let is_unused_leaf = node.is_empty() && end == index + 1 && end < nodes.len();
-    let fits = if is_leaf { end == index + 1 } else { end >= index + 3 || is_unused_leaf };
+    let fits = if node.is_leaf() { end == index + 1 } else { end >= index + 3 || is_unused_leaf };
+    // `NONE`, and only that, stands for the end of the array.
     let is_marked = (node.escape_index == NONE) == (end == nodes.len());
-    // The root, and only the root, spans everything.
+    // The root, and only the root, has no parent.
     if fits
         && is_marked
         && end <= parent_end.unwrap_or(end)

@@ -14,17 +14,18 @@ use super::layout::{
 pub struct DeviceArrays {
     /// The top-level hierarchy over `instances`.
     pub tlas_nodes: DeviceBuffer<Node>,
-    /// Bottom-level structures placed in the world. Slots of removed instances are zero and unreachable.
+    /// Instances of bottom-level structures. Records of removed instances are zero, and no leaf of the top level refers
+    /// to them.
     pub instances: DeviceBuffer<InstanceRecord>,
-    /// The bottom-level hierarchies, one after the other.
+    /// The bottom-level hierarchies as binary nodes, one after the other.
     pub blas_nodes: DeviceBuffer<Node>,
-    /// The same with eight children a node.
+    /// The bottom-level hierarchies as 8-wide nodes.
     pub wide_nodes: DeviceBuffer<WideNode>,
-    /// Their triangles, in leaf order.
+    /// The triangles of the bottom-level structures, in leaf order.
     pub triangles: DeviceBuffer<Triangle>,
-    /// One a geometry.
+    /// One element per geometry.
     pub geometries: DeviceBuffer<GeometryRecord>,
-    /// Vertex indices, three a triangle in the geometry's own order.
+    /// Vertex indices, three per triangle in the geometry's own order.
     pub indices: DeviceBuffer<u32>,
     /// Vertex normals, three numbers each.
     pub normals: DeviceBuffer<f32>,
@@ -32,18 +33,18 @@ pub struct DeviceArrays {
     pub tex_coords: DeviceBuffer<[f32; 2]>,
     /// Vertex colours, four 16-bit unorms each.
     pub colors: DeviceBuffer<[u32; 2]>,
-    /// One a material.
+    /// One element per material.
     pub materials: DeviceBuffer<MaterialRecord>,
-    /// One a texture reference of a material.
+    /// One element per texture reference of a material.
     pub texture_infos: DeviceBuffer<TextureInfo>,
-    /// RGBA8, red lowest, row by row.
+    /// Texels of all textures, row by row: RGBA8 with red in the lowest byte.
     pub texels: DeviceBuffer<u32>,
-    /// One a visible light node.
+    /// One element per visible light node.
     pub lights: DeviceBuffer<LightRecord>,
 }
 
 impl DeviceArrays {
-    /// The size of all arrays together.
+    /// The size of all arrays together, in bytes.
     pub fn byte_count(&self) -> u64 {
         fn bytes<T>(array: &[T]) -> u64 {
             size_of_val(array) as u64
@@ -83,7 +84,7 @@ impl DeviceArrays {
     }
 }
 
-/// An array and what changed in it.
+/// An array with the ranges that changed since they were last taken.
 #[derive(Debug)]
 pub struct DeviceBuffer<T> {
     data: Vec<T>,
@@ -105,25 +106,28 @@ impl<T> std::ops::Deref for DeviceBuffer<T> {
 }
 
 impl<T: Pod> DeviceBuffer<T> {
-    /// Writes `values` from index `first` on, growing with zeros where needed. Elements at either end that are the same
-    /// already, bit by bit, are not marked as changed.
+    /// Writes `values` from index `first` on, zero-filling a gap beyond the current end. Leading and trailing elements
+    /// that are bitwise equal to the current ones are not marked as changed.
     pub fn write(&mut self, first: usize, values: &[T]) {
         if values.is_empty() {
             return;
         }
+        // 1. Grow.
         let end = first + values.len();
         let old_len = self.data.len();
         if end > old_len {
             self.data.resize(end, T::zeroed());
         }
+        // 2. Find the first and the last element that differs.
         let current = &mut self.data[first..end];
         let changed =
             |&i: &usize| first + i >= old_len || bytemuck::bytes_of(&current[i]) != bytemuck::bytes_of(&values[i]);
         let (Some(from), Some(last)) = ((0..values.len()).find(changed), (0..values.len()).rfind(changed)) else {
             return;
         };
+        // 3. Copy and mark only what lies between them.
         current[from..=last].copy_from_slice(&values[from..=last]);
-        // A gap between the old end and `first` is new to the executor too.
+        // A gap between the old end and `first` was zero-filled, so an executor must copy it too.
         self.mark_dirty((first + from).min(old_len)..first + last + 1);
     }
 
@@ -133,7 +137,7 @@ impl<T: Pod> DeviceBuffer<T> {
         self.write(0, values);
     }
 
-    /// Overwrites the element at `index`, which must be there; marked as changed unless it is the same, bit by bit.
+    /// Overwrites the element at `index`, which must exist, and marks it as changed unless it is bitwise equal.
     pub(crate) fn set(&mut self, index: usize, value: T) {
         if bytemuck::bytes_of(&self.data[index]) != bytemuck::bytes_of(&value) {
             self.data[index] = value;
@@ -141,11 +145,13 @@ impl<T: Pod> DeviceBuffer<T> {
         }
     }
 
-    /// Gives the array `len` elements, all marked as changed, for the caller to overwrite: what they hold is unspecified.
+    /// Resizes the array to `len` elements and marks all as changed; their contents are unspecified, and the caller
+    /// must overwrite them.
     pub(crate) fn resize_for_overwrite(&mut self, len: usize) -> &mut [T] {
         self.truncate(len);
         if self.data.capacity() < len {
-            // Fresh zeros cost nothing until they are written to, and threads then do that side by side.
+            // Zeroed pages from the allocator are mapped lazily, by the threads that write them, so a fresh allocation
+            // is cheaper than growing the old one.
             self.data = bytemuck::zeroed_vec(len);
         }
         self.data.resize(len, T::zeroed());
@@ -156,7 +162,7 @@ impl<T: Pod> DeviceBuffer<T> {
         &mut self.data
     }
 
-    /// The elements, for a caller that [marks](Self::mark_dirty) those it changes.
+    /// Mutable access that marks nothing: the caller must [mark](Self::mark_dirty) every range that it changes.
     pub(crate) fn as_mut_slice_without_marking(&mut self) -> &mut [T] {
         &mut self.data
     }
@@ -171,6 +177,7 @@ impl<T: Pod> DeviceBuffer<T> {
 
     /// The ranges that changed since the last call, sorted and disjoint, none beyond the array's end.
     pub fn take_dirty(&mut self) -> Vec<Range<usize>> {
+        // Sort, clip to the array, and merge ranges that touch.
         let mut ranges = std::mem::take(&mut self.dirty_ranges);
         ranges.sort_unstable_by_key(|r| r.start);
         let mut merged: Vec<Range<usize>> = Vec::with_capacity(ranges.len());
@@ -200,7 +207,7 @@ impl<T: Pod> DeviceBuffer<T> {
 mod tests {
     use super::*;
 
-    /// What an executor does: copies the dirty ranges, and nothing else.
+    /// Updates a copy as an executor does, by copying the dirty ranges only. Returns how many elements were copied.
     fn catch_up(copy: &mut Vec<u32>, buffer: &mut DeviceBuffer<u32>) -> usize {
         copy.resize(buffer.len(), u32::MAX);
         let dirty = buffer.take_dirty();

@@ -1,4 +1,5 @@
-//! Axis-aligned boxes: [`Aabb`] in f32 for the acceleration structures, [`Bounds`] in f64 for the graph.
+//! Axis-aligned bounding boxes: [`Aabb`] in f32 for acceleration structures and device data, [`Bounds`] in f64 for
+//! scene-graph world space.
 
 use glam::{DAffine3, DVec3, Vec3};
 
@@ -12,7 +13,7 @@ pub struct Aabb {
 }
 
 impl Aabb {
-    /// Contains nothing; the identity of [`union`](Self::union).
+    /// The empty box, identity of [`union`](Self::union).
     pub const EMPTY: Self = Self { min: Vec3::INFINITY, max: Vec3::NEG_INFINITY };
 
     /// The smallest box around the points; empty without any.
@@ -26,12 +27,12 @@ impl Aabb {
         Self { min: self.min.min(other.min), max: self.max.max(other.max) }
     }
 
-    /// Whether there is nothing in it.
+    /// Whether the box is empty: `min > max`, or NaN, on some axis.
     pub fn is_empty(&self) -> bool {
         !self.min.cmple(self.max).all()
     }
 
-    /// Whether `other` lies inside or on the boundary; an empty box lies in any.
+    /// Whether `other` lies inside or on the boundary; every box contains an empty one.
     pub fn contains(&self, other: &Self) -> bool {
         other.is_empty() || (self.min.cmple(other.min).all() && self.max.cmpge(other.max).all())
     }
@@ -45,9 +46,17 @@ impl Aabb {
         d.x * d.y + d.y * d.z + d.z * d.x
     }
 
-    /// The middle, computed without overflow.
+    /// The centre, computed without overflow.
     pub fn center(&self) -> Vec3 {
         self.min * 0.5 + self.max * 0.5
+    }
+
+    /// The box clamped to finite f32 coordinates; `None` if it is empty or NaN.
+    #[inline]
+    pub(crate) fn clamped_to_finite(&self) -> Option<Self> {
+        let farthest = Vec3::splat(f32::MAX);
+        let clamped = || Self { min: self.min.clamp(-farthest, farthest), max: self.max.clamp(-farthest, farthest) };
+        (!self.is_empty()).then(clamped)
     }
 }
 
@@ -61,7 +70,7 @@ pub struct Bounds {
 }
 
 impl Bounds {
-    /// Contains nothing; the identity of [`union`](Self::union).
+    /// The empty box, identity of [`union`](Self::union).
     pub const EMPTY: Self = Self { min: DVec3::INFINITY, max: DVec3::NEG_INFINITY };
 
     /// The smallest box around both.
@@ -70,12 +79,13 @@ impl Bounds {
         Self { min: self.min.min(other.min), max: self.max.max(other.max) }
     }
 
-    /// Whether there is nothing in it.
+    /// Whether the box is empty: `min > max`, or NaN, on some axis.
     pub fn is_empty(&self) -> bool {
         !self.min.cmple(self.max).all()
     }
 
-    /// The box around a transformed box (Arvo's method: exact for the box, not for what is in it). Empty stays empty.
+    /// The bounding box of the transformed box, in the transform's target space (J. Arvo, 1990: exact for the box, an
+    /// overestimate for its contents). An empty box stays empty.
     #[must_use]
     pub fn transformed(self, affine: &DAffine3) -> Self {
         if self.is_empty() {
@@ -90,7 +100,7 @@ impl Bounds {
         result
     }
 
-    /// The middle.
+    /// The centre.
     pub fn center(&self) -> DVec3 {
         self.min * 0.5 + self.max * 0.5
     }
@@ -103,7 +113,7 @@ impl Bounds {
         })
     }
 
-    /// Half the diagonal: the radius of the sphere around the box. 0 if empty.
+    /// Half the length of the diagonal, which is the radius of the sphere around the box. 0 if empty.
     pub fn radius(&self) -> f64 {
         if self.is_empty() { 0.0 } else { (self.max * 0.5 - self.min * 0.5).length() }
     }

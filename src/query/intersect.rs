@@ -118,7 +118,7 @@ mod tests {
     use super::*;
 
     fn triangle([v0, v1, v2]: [[f32; 3]; 3]) -> Triangle {
-        Triangle { v0, primitive: 0, v1, _pad0: 0, v2, _pad1: 0 }
+        Triangle::new([v0, v1, v2], 0)
     }
 
     /// A fan of triangles around corners of a grid, and rays through exactly its corners, edges and faces.

@@ -2,7 +2,7 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use crate::device::layout::{NONE, Node, PrimitiveRange};
+use crate::device::layout::{NONE, Node};
 
 /// A traversal of one hierarchy (the Tlas or a Blas) that yields its leaves. It needs no stack: the escape index of a
 /// node leads to the next one when its box is missed or its subtree is finished.
@@ -19,7 +19,7 @@ impl<'a> StacklessTraversal<'a> {
     /// A traversal from the first of `nodes`. What lies behind the hierarchy's last node is never read.
     pub(super) fn new(nodes: &'a [Node], total: &'a AtomicU64) -> Self {
         // An empty hierarchy is an empty slice, a zeroed node or an unused root.
-        let is_empty = nodes.first().is_none_or(|node| node.escape_index == 0 || node.is_empty());
+        let is_empty = nodes.first().is_none_or(Node::is_empty_root);
         Self { nodes, index: if is_empty { NONE } else { 0 }, visited: 0, total }
     }
 
@@ -32,7 +32,7 @@ impl<'a> StacklessTraversal<'a> {
             // The box is missed: skip the subtree.
             if node.is_empty() || !entered(node) {
                 self.index = node.escape_index;
-            } else if node.primitives == PrimitiveRange::INNER {
+            } else if !node.is_leaf() {
                 // An inner node: its first child follows it.
                 self.index += 1;
             } else {
@@ -49,7 +49,7 @@ impl<'a> StacklessTraversal<'a> {
     pub(super) fn descend_to_nearest_leaf(mut self, cost: impl Fn(&Node) -> f64) -> Option<&'a Node> {
         while self.index != NONE {
             let node = &self.nodes[self.index as usize];
-            if node.primitives != PrimitiveRange::INNER {
+            if node.is_leaf() {
                 return Some(node);
             }
             // Visit the children along their escape indices, and keep the one of least cost.

@@ -129,13 +129,13 @@ impl Tracer for Recursive {
 
 impl PointerTrees {
     fn new(arrays: &DeviceArrays) -> Self {
-        let is_empty = arrays.tlas_nodes.first().is_none_or(|node| node.escape_index == 0);
+        let is_empty = arrays.tlas_nodes.first().is_none_or(Node::is_empty_root);
         if is_empty {
             return Self::default();
         }
         let top = build_subtree(&arrays.tlas_nodes, 0, &|_| Box::default());
         let mut bottom = HashMap::new();
-        for leaf in arrays.tlas_nodes.iter().filter(|node| node.primitives != PrimitiveRange::INNER) {
+        for leaf in arrays.tlas_nodes.iter().filter(|node| node.is_leaf()) {
             let instance = &arrays.instances[leaf.primitives.first_primitive() as usize];
             bottom.entry(instance.first_node).or_insert_with(|| {
                 let triangles = &arrays.triangles[instance.first_triangle as usize..];
@@ -152,7 +152,7 @@ impl PointerTrees {
 /// The tree that stands in depth-first order from a node on. Recursion is as deep as the tree: builders bound that.
 fn build_subtree(nodes: &[Node], index: usize, triangles: &impl Fn(PrimitiveRange) -> Box<[Triangle]>) -> TreeNode {
     let node = nodes[index];
-    if node.primitives != PrimitiveRange::INNER {
+    if node.is_leaf() {
         return TreeNode { node, children: Vec::new(), triangles: triangles(node.primitives) };
     }
     let mut children = Vec::new();
@@ -249,7 +249,7 @@ fn traverse<C: TraversalCounter>(
     if !intersects_box(ray, t_min, t_max, &branch.node) {
         return t_max;
     }
-    if branch.node.primitives != PrimitiveRange::INNER {
+    if branch.node.is_leaf() {
         return visit(branch, counter);
     }
     for child in &branch.children {

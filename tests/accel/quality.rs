@@ -8,7 +8,7 @@ use ropewalk::math::Aabb;
 use super::meshes::{adversarial, geometry};
 use ropewalk_testkit::Mesh;
 
-const PARAMS: BlasBuildParams = BlasBuildParams { max_leaf_size: 15, ..BlasBuildParams::PAPER };
+const PARAMS: BlasBuildParams = BlasBuildParams::PAPER.with_max_leaf_size(15);
 
 fn half_area(aabb: &Aabb) -> f64 {
     let d: DVec3 = aabb.max.as_dvec3() - aabb.min.as_dvec3();

@@ -10,9 +10,9 @@ use super::meshes::{STRUCTURES, adversarial, beyond_arithmetic, geometry, grid, 
 use ropewalk_testkit::{Mesh, Random};
 
 const PARAMS: [BlasBuildParams; 3] = [
-    BlasBuildParams { max_leaf_size: 15, ..BlasBuildParams::PAPER },
+    BlasBuildParams::PAPER.with_max_leaf_size(15),
     BlasBuildParams::PAPER,
-    BlasBuildParams { max_leaf_size: 15, triangle_cost: 0.1, ..BlasBuildParams::PAPER },
+    BlasBuildParams::PAPER.with_max_leaf_size(15).with_triangle_cost(0.1),
 ];
 
 /// The triangles that a ray can hit.
@@ -56,7 +56,7 @@ fn adversarial_meshes() {
     for (name, mesh) in adversarial().into_iter().chain(beyond_arithmetic()) {
         assert!(!mesh.indices.is_empty());
         for (params, structure) in PARAMS.iter().flat_map(|p| STRUCTURES.map(|s| (p, s))) {
-            check(&format!("{name}, {structure:?}"), &mesh, &BlasBuildParams { structure, ..*params });
+            check(&format!("{name}, {structure:?}"), &mesh, &params.with_structure(structure));
         }
     }
 }
@@ -101,7 +101,7 @@ fn invalid_geometry_is_refused() {
 fn leaf_size_is_clamped() {
     let mesh = Mesh::soup(3, 500);
     for (asked, largest) in [(0, 1), (1, 1), (4, 4), (1000, 15)] {
-        let params = BlasBuildParams { max_leaf_size: asked, triangle_cost: 1e-3, ..BlasBuildParams::default() };
+        let params = BlasBuildParams::default().with_max_leaf_size(asked).with_triangle_cost(1e-3);
         let blas = Blas::build(&geometry(&mesh), &params).unwrap();
         assert_eq!(blas.stats().max_leaf_size.max(largest), largest);
     }

@@ -301,7 +301,7 @@ fn a_cost_that_grows_rebuilds() {
         boxes[slot] = cube(random.in_cube(), 0.01);
         match built.update(&boxes, &[slot as u32]) {
             TlasUpdate::Rebuilt(reason) => {
-                assert_eq!(reason, RebuildReason::Decayed);
+                assert_eq!(reason, RebuildReason::CostGrown);
                 rebuilt += 1;
             }
             update => assert!(matches!(update, TlasUpdate::Patched { instances: 1, .. }), "{update:?}"),
@@ -320,7 +320,7 @@ fn one_that_flies_off_is_noticed_and_rebuilt_once() {
     let mut rebuilt = 0;
     for _ in 0..1000 {
         let changed = move_by(&mut boxes, [77], Vec3::X);
-        rebuilt += usize::from(matches!(built.update(&boxes, &changed), TlasUpdate::Rebuilt(RebuildReason::Decayed)));
+        rebuilt += usize::from(matches!(built.update(&boxes, &changed), TlasUpdate::Rebuilt(RebuildReason::CostGrown)));
     }
     assert!((1..=2).contains(&rebuilt), "{rebuilt}");
     let fresh = build(&boxes);

@@ -97,11 +97,11 @@ fn includes_are_valid_and_bind_what_they_use() {
 /// Name, offset and size of each member of a struct, and its whole size.
 type Layout = (Vec<(String, u32, u32)>, u32);
 
-/// The layout of a Rust struct; a member that is left out does not compile.
+/// The layout of a Rust struct, without the members that pad it: they are private. No other member may be left out.
 macro_rules! layout_of {
     ($type:ident { $($member:ident),* $(,)? }) => {{
         let value: $type = bytemuck::Zeroable::zeroed();
-        let $type { $($member: _),* } = value;
+        assert_eq!(members_but_pads(&value), [$(stringify!($member)),*], "members of {}", stringify!($type));
         let members = vec![$((
             stringify!($member).to_owned(),
             offset_of!($type, $member) as u32,
@@ -111,10 +111,17 @@ macro_rules! layout_of {
     }};
 }
 
+/// The names of a struct's members as its derived `Debug` lists them, but for those that pad it.
+fn members_but_pads(value: &impl std::fmt::Debug) -> Vec<String> {
+    let text = format!("{value:#?}");
+    let members = text.lines().filter_map(|line| line.strip_prefix("    ")?.split_once(": ")).map(|(name, _)| name);
+    members.filter(|name| !name.starts_with([' ', '_'])).map(str::to_owned).collect()
+}
+
 fn rust_layouts() -> BTreeMap<String, Layout> {
     BTreeMap::from([
         layout_of!(Node { min, escape_index, max, primitives }),
-        layout_of!(Triangle { v0, primitive, v1, _pad0, v2, _pad1 }),
+        layout_of!(Triangle { v0, primitive, v1, v2 }),
         layout_of!(InstanceRecord {
             local_from_world,
             world_from_local,
@@ -132,8 +139,7 @@ fn rust_layouts() -> BTreeMap<String, Layout> {
             first_tex_coord_0,
             first_tex_coord_1,
             first_color,
-            first_wide_node,
-            _pad
+            first_wide_node
         }),
         layout_of!(WideNode { origin, exponents, planes, children }),
         layout_of!(MaterialRecord {
@@ -150,22 +156,10 @@ fn rust_layouts() -> BTreeMap<String, Layout> {
             emissive_texture,
             transmission_texture,
             normal_texture,
-            normal_scale,
-            _pad
+            normal_scale
         }),
         layout_of!(TextureInfo { row_u, row_v, first_texel, width, height, flags }),
-        layout_of!(LightRecord {
-            position,
-            kind,
-            direction,
-            range,
-            color,
-            cone_scale,
-            cone_offset,
-            _pad0,
-            _pad1,
-            _pad2
-        }),
+        layout_of!(LightRecord { position, kind, direction, range, color, cone_scale, cone_offset }),
         layout_of!(FrameParams {
             eye,
             width,
@@ -181,12 +175,11 @@ fn rust_layouts() -> BTreeMap<String, Layout> {
             light_count,
             sky_ground,
             first_row,
-            sky_up,
-            _pad
+            sky_up
         }),
         layout_of!(RayRecord { origin, t_min, direction, t_max }),
-        layout_of!(RayBatch { count, ray_mask, first, _pad }),
-        layout_of!(HitRecord { t, u, v, instance, primitive, triangle, back_face, _pad }),
+        layout_of!(RayBatch { count, ray_mask, first }),
+        layout_of!(HitRecord { t, u, v, instance, primitive, triangle, back_face }),
     ])
 }
 
@@ -199,7 +192,8 @@ fn wgsl_layouts(source: &str) -> BTreeMap<String, Layout> {
         let member = |m: &naga::StructMember| {
             (m.name.clone().unwrap_or_default(), m.offset, module.types[m.ty].inner.size(module.to_ctx()))
         };
-        Some((ty.name.clone()?, (members.iter().map(member).collect(), *span)))
+        let is_not_padding = |m: &&naga::StructMember| !m.name.as_ref().is_some_and(|name| name.starts_with("_pad"));
+        Some((ty.name.clone()?, (members.iter().filter(is_not_padding).map(member).collect(), *span)))
     };
     module.types.iter().filter_map(|(_, ty)| layout(ty)).collect()
 }

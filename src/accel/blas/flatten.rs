@@ -1,50 +1,55 @@
-//! From a pruned build tree to device nodes: where depth-first order and escape indices of the bottom level are set.
+//! Writes a pruned build tree as device nodes in depth-first order with escape indices. (`tlas::build` does it for the
+//! top level.)
 
 use super::prune::{PrunedTree, SubtreeRoot};
 use crate::device::layout::{NONE, Node, PrimitiveRange};
 
-/// Device nodes, and which primitives their leaves hold.
+/// The flattened form of a build tree.
 #[derive(Default)]
 pub(super) struct FlattenedTree {
     /// In depth-first order.
     pub(super) nodes: Vec<Node>,
-    /// The primitives in leaf order: a leaf's range counts in it.
-    pub(super) order: Vec<u32>,
+    /// Primitive indices in leaf order; leaf ranges refer to this array.
+    pub(super) primitive_indices: Vec<u32>,
 }
 
 /// Flattens a tree. O(n).
 ///
 /// Each node's escape index is that of the node after its subtree (paper, section 3), or [`NONE`].
 pub(super) fn flatten(tree: &PrunedTree<'_>) -> FlattenedTree {
+    // 1. Allocate arrays of exactly the size that pruning found.
     let size = tree.size(tree.root().node);
     let mut nodes = bytemuck::zeroed_vec(size.nodes as usize);
-    let mut order = bytemuck::zeroed_vec(size.primitives as usize);
+    let mut primitive_indices = bytemuck::zeroed_vec(size.primitives as usize);
+    // 2. Write them from the root, large subtrees in parallel.
     let position = EmitPosition { node: 0, end: size.nodes, depth: 0 };
-    write_subtree(tree, tree.root(), position, &mut nodes, &mut order);
-    FlattenedTree { nodes, order }
+    write_subtree(tree, tree.root(), position, &mut nodes, &mut primitive_indices);
+    FlattenedTree { nodes, primitive_indices }
 }
 
-/// Where the nodes of a subtree are written.
+/// Where the nodes of a subtree are written in the output array.
 #[derive(Clone, Copy)]
 struct EmitPosition {
-    /// The index of its first node.
+    /// The index of the subtree's first node.
     node: u32,
-    /// How many nodes there are in all.
+    /// The total number of nodes: a subtree that ends there has escape index [`NONE`].
     end: u32,
+    /// Levels of the build tree above the subtree.
     depth: u32,
 }
 
-/// Writes a subtree to slices of its size. Recursion is as deep as the build tree.
+/// Writes a subtree depth-first into slices of exactly its size. Recursion is as deep as the build tree.
 fn write_subtree(
     tree: &PrunedTree<'_>,
     subtree: SubtreeRoot,
     position: EmitPosition,
     mut nodes: &mut [Node],
-    order: &mut [u32],
+    primitive_indices: &mut [u32],
 ) {
     let size = tree.size(subtree.node);
     let mut below = EmitPosition { depth: position.depth + 1, ..position };
-    // 1. The root of the subtree, where it is kept. Its escape index is the first node after the subtree.
+    // 1. If the root of the subtree is kept, write it: its box, its escape index, which is that of the first node after
+    // the subtree, and, for a leaf, its primitives.
     if size.top_node_count == 1
         && let Some(node) = nodes.split_off_first_mut()
     {
@@ -59,20 +64,20 @@ fn write_subtree(
         };
         *node = Node { min, escape_index, max, primitives };
         if is_leaf {
-            tree.gather(subtree.node, order);
+            tree.gather(subtree.node, primitive_indices);
             return;
         }
     }
-    // 2. Its children, one after the other.
+    // 2. Write both children, the larger first, each to its part of the arrays.
     if let Some([first, second]) = tree.children(subtree) {
         let first_size = tree.size(first.node);
         let (first_nodes, second_nodes) = nodes.split_at_mut(first_size.nodes as usize);
-        let (first_order, second_order) = order.split_at_mut(first_size.primitives as usize);
+        let (first_indices, second_indices) = primitive_indices.split_at_mut(first_size.primitives as usize);
         let after_first = EmitPosition { node: below.node + first_size.nodes, ..below };
         tree.join_near_root(
             position.depth,
-            || write_subtree(tree, first, below, first_nodes, first_order),
-            || write_subtree(tree, second, after_first, second_nodes, second_order),
+            || write_subtree(tree, first, below, first_nodes, first_indices),
+            || write_subtree(tree, second, after_first, second_nodes, second_indices),
         );
     }
 }

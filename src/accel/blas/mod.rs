@@ -3,8 +3,10 @@
 mod collapse;
 mod flatten;
 mod prune;
+mod quantize;
 mod refit;
 mod refit_wide;
+mod triangle_bounds;
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -15,56 +17,84 @@ use self::flatten::flatten;
 pub use self::prune::MAX_CHILDREN;
 use self::prune::PrunedTree;
 pub(crate) use self::refit::{RefitReport, refit};
-use super::build::{SahParams, build_tree, triangle_references};
+use super::build::{build_tree, triangle_references};
 use super::stats::BvhStats;
-use super::tree::PARALLEL_SUBTREE_THRESHOLD;
+use super::tree::{PARALLEL_SUBTREE_THRESHOLD, SahParams};
 use super::validate::{BvhError, validate_nodes};
 use crate::Result;
 use crate::device::layout::{Node, PrimitiveRange, Triangle, WideNode};
 use crate::graph::{BlasKind, Geometry, Quality};
 use crate::math::Aabb;
 
-/// A bottom-level structure: arrays that are copied to the device as they are, at any offset.
+/// A bottom-level acceleration structure of one geometry: position-independent arrays that can be copied to any offset
+/// of the device arrays.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Blas {
-    /// In depth-first order, escape indices relative to the first. Empty where there is nothing to hit.
+    /// Binary nodes in depth-first order, escape indices relative to the first. Empty if no triangle can be hit.
     pub nodes: Vec<Node>,
-    /// The same hierarchy with eight children a node, indices relative to the first. Empty where `nodes` is.
+    /// The same hierarchy as 8-wide nodes, indices relative to the first. Empty if `nodes` is.
     pub wide_nodes: Vec<WideNode>,
-    /// In leaf order; [`Triangle::primitive`] is the triangle's index in the geometry.
+    /// Triangles in leaf order; [`Triangle::primitive`] is the triangle's index in the geometry.
     pub triangles: Vec<Triangle>,
     /// The box around `triangles`, local space, not padded; empty without any.
     pub bounds: Aabb,
-    /// Whether some triangle is in several leaves, each with a box around a part of it. It is in `triangles` as often: whoever
-    /// counts what a ray crosses must see to it that it counts once.
+    /// Whether some triangle is in several leaves (spatial splits), each of which bounds a part of it. It is then in
+    /// `triangles` once for each: queries that count hits or multiply transmittance must count a triangle once.
     pub has_duplicates: bool,
     triangle_cost: f32,
 }
 
 /// How a [`Blas`] is built.
+///
+/// ```
+/// use ropewalk::accel::BlasBuildParams;
+/// use ropewalk::graph::{BlasKind, Quality};
+///
+/// let params = BlasBuildParams::new(BlasKind::Bvh(Quality::High)).with_max_leaf_size(4);
+/// assert_eq!(params.max_leaf_size, 4);
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct BlasBuildParams {
-    /// What is built, and by which builder.
+    /// Which structure is built, and so which builder.
     pub structure: BlasKind,
     /// The most triangles in a leaf, 1 to 15 (clamped).
     pub max_leaf_size: u32,
-    /// Cost of testing a triangle, in units of fetching a node and testing its box. Dearer triangles make smaller leaves:
-    /// 1.0 gives 3.0 triangles a leaf on the Stanford dragon, 1.5 gives 2.25, 2.0 gives 1.8.
+    /// Cost of a triangle test in units of one node fetch and box test. Higher values make smaller leaves: 1.0 gives
+    /// 3.0 triangles a leaf on the Stanford dragon, 1.5 gives 2.25, 2.0 gives 1.8.
     pub triangle_cost: f32,
 }
 
 impl BlasBuildParams {
-    /// One triangle a leaf, as in the paper.
+    /// One triangle in each leaf, as in the paper.
     pub const PAPER: Self = Self { structure: BlasKind::Bvh(Quality::Medium), max_leaf_size: 1, triangle_cost: 1.5 };
 
-    /// By default, but this structure.
+    /// The default parameters with this structure.
     pub fn new(structure: BlasKind) -> Self {
-        Self { structure, ..Self::default() }
+        Self::default().with_structure(structure)
+    }
+
+    /// These parameters with another [structure](Self::structure).
+    #[must_use]
+    pub const fn with_structure(self, structure: BlasKind) -> Self {
+        Self { structure, ..self }
+    }
+
+    /// These parameters with another [leaf size](Self::max_leaf_size).
+    #[must_use]
+    pub const fn with_max_leaf_size(self, max_leaf_size: u32) -> Self {
+        Self { max_leaf_size, ..self }
+    }
+
+    /// These parameters with another [cost of a triangle test](Self::triangle_cost).
+    #[must_use]
+    pub const fn with_triangle_cost(self, triangle_cost: f32) -> Self {
+        Self { triangle_cost, ..self }
     }
 }
 
 impl Default for BlasBuildParams {
-    /// As many triangles a leaf as the heuristic likes.
+    /// A BVH of medium quality, triangle cost 1.5, and leaves of up to 15 triangles where the SAH prefers them.
     fn default() -> Self {
         Self { structure: BlasKind::default(), max_leaf_size: PrimitiveRange::MAX_COUNT, triangle_cost: 1.5 }
     }
@@ -74,32 +104,34 @@ impl Blas {
     /// Builds the structure, on all threads of the current rayon pool. O(n log n); temporary memory about 120 bytes a
     /// triangle, up to 280 for a kd-tree.
     ///
-    /// [`Quality::Low`] merges neighbours along a space-filling curve. [`Quality::Medium`] divides triangles by the surface area
-    /// heuristic, from the top down. [`Quality::High`] cuts space, too, where boxes overlap, with up to 30 % more triangles in the
-    /// leaves, then moves subtrees to where they are better. [`BlasKind::KdTree`] cuts space as long as leaves then have no more
-    /// than twice the triangles, and divides them where that is used up: the planes are the heuristic's, nodes are cells cut
-    /// down to what is in them.
+    /// - [`Quality::Low`]: agglomerative clustering along a Morton curve.
+    /// - [`Quality::Medium`]: top-down binned SAH with object splits.
+    /// - [`Quality::High`]: also spatial splits where boxes overlap, with up to 30 % more triangle references, followed
+    ///   by reinsertion.
+    /// - [`BlasKind::KdTree`]: spatial splits wherever possible until there are twice as many references as triangles,
+    ///   object splits after that; planes are chosen by the SAH, and node boxes are clipped to their contents.
     ///
-    /// Triangles with two equal corners are left out: no ray hits them. Other triangles without area stay in, and it is the
-    /// triangle test that misses them.
+    /// Triangles with two equal corners are left out: no ray hits them. Other degenerate triangles (three distinct
+    /// collinear corners) stay in the leaves, and the triangle test rejects them.
     ///
     /// # Errors
-    /// [`Error::InvalidGeometry`](crate::Error::InvalidGeometry) as [`Geometry::validate`] says. Geometry that a scene holds
-    /// is valid.
+    /// [`Error::InvalidGeometry`](crate::Error::InvalidGeometry) as [`Geometry::validate`] says. Geometry that a scene
+    /// holds is valid.
     pub fn build(geometry: &Geometry, params: &BlasBuildParams) -> Result<Self> {
         if geometry.indices.len() < PARALLEL_SUBTREE_THRESHOLD {
             Self::build_in_pool(geometry, params)
         } else {
-            // One entry into the pool, not one for each parallel loop.
+            // Enter the rayon pool once instead of once per parallel loop.
             rayon::scope(|_| Self::build_in_pool(geometry, params))
         }
     }
 
     fn build_in_pool(geometry: &Geometry, params: &BlasBuildParams) -> Result<Self> {
-        // 1. The boxes of the triangles.
+        // 1. Bound the triangles.
         let (mut references, extent) = triangle_references(geometry)?;
         let count = references.len();
-        // 2. A build tree, and from that device nodes. Only the tree of `Quality::Low` can be too deep for them.
+        // 2. Build a tree and write it as binary and wide device nodes. Only a clustered tree (`Quality::Low`) can be
+        // too deep to be flattened; a binned SAH tree then replaces it.
         let sah_params = SahParams {
             max_leaf_size: params.max_leaf_size.clamp(1, PrimitiveRange::MAX_COUNT) as usize,
             primitive_cost: params.triangle_cost,
@@ -111,29 +143,31 @@ impl Blas {
         };
         let nodes = build_nodes(params.structure).or_else(|| build_nodes(BlasKind::Bvh(Quality::Medium)));
         let (flat, wide_nodes) = nodes.unwrap_or_default();
-        // 3. The triangles, in the order of the leaves.
-        let triangles = flat.order.par_iter().with_min_len(CHUNK).map(|&p| triangle(geometry, p)).collect();
-        let (bounds, repeats) = (extent.aabb(), flat.order.len() > count);
+        // 3. Copy the triangles in leaf order.
+        let triangles = flat.primitive_indices.par_iter().with_min_len(CHUNK).map(|&p| triangle(geometry, p)).collect();
+        let has_duplicates = flat.primitive_indices.len() > count;
         let blas = Self {
             nodes: flat.nodes,
             wide_nodes,
             triangles,
-            bounds,
-            has_duplicates: repeats,
+            bounds: extent.aabb(),
+            has_duplicates,
             triangle_cost: params.triangle_cost,
         };
         debug_assert_eq!(blas.validate(), Ok(()));
         Ok(blas)
     }
 
-    /// Puts the triangles where those of `geometry` are now: the same ones, with their corners elsewhere. The nodes get new boxes
-    /// and stay where they are. O(n), on all threads of the current rayon pool; a fifth of the time of a build.
+    /// Refits the structure to `geometry`, which must have the same triangles with other corner positions. Boxes are
+    /// recomputed; the hierarchy stays. O(n) on all threads of the current rayon pool, about a fifth of a build's time.
     ///
-    /// Whether it could: not where triangles got or lost two equal corners, nor where the structure has some triangles more
-    /// than once, as [`Quality::High`] and [`BlasKind::KdTree`] do (their leaves hold clipped triangles, and with whole ones they
-    /// would be worse than a new structure). It must then be built anew: what it holds is unspecified.
+    /// Returns false if a rebuild is needed: a triangle became or ceased to be degenerate, or the structure has
+    /// duplicates ([`Quality::High`], [`BlasKind::KdTree`]: their leaves hold clipped triangles, and unclipped ones
+    /// would make its boxes worse than those of a rebuild). The contents are unspecified after a degenerate triangle,
+    /// unchanged for duplicates.
     ///
-    /// The more the geometry deforms, the worse the structure: compare [`stats`](Self::stats) with those when it was built.
+    /// The structure gets worse the more the geometry deforms: compare [`stats`](Self::stats) with those after the
+    /// build.
     #[must_use]
     pub fn refit(&mut self, geometry: &Geometry) -> bool {
         if self.has_duplicates {
@@ -147,48 +181,50 @@ impl Blas {
         refitted.is_some()
     }
 
-    /// Checks what traversal relies on: escape order, containment, no triangle twice in a leaf, and none in several if nothing
-    /// [repeats](Self::has_duplicates); of one that is in several, that some points of it are in their boxes. O(n log n).
+    /// Checks the invariants that traversal relies on: escape indices, containment, no triangle twice in a leaf, and
+    /// none in several leaves unless the structure [has duplicates](Self::has_duplicates). For a duplicated triangle,
+    /// seven sample points of it must be covered by its leaves' boxes. O(n log n).
     ///
     /// # Errors
     /// The first [`BvhError`] found.
     pub fn validate(&self) -> Result<(), BvhError> {
-        let copies = self.duplicated_primitives();
-        let is_whole = |triangle: &&Triangle| copies.binary_search(&triangle.primitive).is_err();
-        // 1. Nodes, and the triangles that are in one leaf.
+        let duplicated = self.duplicated_primitives();
+        let is_in_one_leaf = |triangle: &&Triangle| duplicated.binary_search(&triangle.primitive).is_err();
+        // 1. Check the nodes, and the triangles that are in one leaf only.
         let mut next_triangle = 0;
         validate_nodes(&self.nodes, |range| {
             let first = range.first_primitive() as usize;
             let triangles = self.triangles.get(first..first + range.primitive_count() as usize)?;
             let in_order = first == next_triangle;
             next_triangle += triangles.len();
-            in_order.then(|| Aabb::from_points(triangles.iter().filter(is_whole).flat_map(corners)))
+            in_order.then(|| Aabb::from_points(triangles.iter().filter(is_in_one_leaf).flat_map(corners)))
         })?;
-        // 2. The triangles that are in several.
-        if let Some(&primitive) = copies.first().filter(|_| !self.has_duplicates) {
+        // 2. Check the triangles that are in several leaves.
+        if let Some(&primitive) = duplicated.first().filter(|_| !self.has_duplicates) {
             return Err(BvhError::Repeated { primitive });
         }
         if let Some(triangle) = self.triangles.get(next_triangle) {
             return Err(BvhError::Missing { primitive: triangle.primitive });
         }
         let mut parts: Vec<(&Triangle, &Node)> = Vec::new();
-        for node in self.nodes.iter().filter(|node| node.primitives != PrimitiveRange::INNER) {
+        for node in self.nodes.iter().filter(|node| node.is_leaf()) {
             let triangles = &self.triangles[node.primitives.first_primitive() as usize..]
                 [..node.primitives.primitive_count() as usize];
-            parts.extend(triangles.iter().filter(|triangle| !is_whole(triangle)).map(|triangle| (triangle, node)));
+            parts
+                .extend(triangles.iter().filter(|triangle| !is_in_one_leaf(triangle)).map(|triangle| (triangle, node)));
         }
         parts.sort_by_key(|(triangle, _)| triangle.primitive);
         parts.chunk_by(|(a, _), (b, _)| a.primitive == b.primitive).try_for_each(check_duplicates)
     }
 
-    /// Sizes and quality. O(n), and a sort where triangles [repeat](Self::has_duplicates).
+    /// Measures size and quality. O(n); O(n log n) for a structure with [duplicates](Self::has_duplicates).
     pub fn stats(&self) -> BvhStats {
         let bytes = size_of_val(&*self.nodes) + size_of_val(&*self.wide_nodes) + size_of_val(&*self.triangles);
         let duplicate_count = if self.has_duplicates { self.duplicated_primitives().len() } else { 0 };
         BvhStats { bytes, duplicate_count, ..BvhStats::of(&self.nodes, self.triangle_cost) }
     }
 
-    /// The primitives of all triangles but the first of each primitive, ascending.
+    /// The primitive index of every reference beyond the first of each primitive, ascending.
     fn duplicated_primitives(&self) -> Vec<u32> {
         let mut primitives: Vec<u32> = self.triangles.iter().map(|t| t.primitive).collect();
         primitives.sort_unstable();
@@ -196,21 +232,23 @@ impl Blas {
     }
 }
 
-/// Triangles that one thread takes at a time.
+/// Triangles per parallel chunk.
 const CHUNK: usize = 1 << 13;
 
 fn triangle(geometry: &Geometry, primitive: u32) -> Triangle {
-    let [v0, v1, v2] = geometry.indices[primitive as usize].map(|v| geometry.positions[v as usize].to_array());
-    Triangle { v0, primitive, v1, _pad0: 0, v2, _pad1: 0 }
+    Triangle::new(geometry.indices[primitive as usize].map(|v| geometry.positions[v as usize].to_array()), primitive)
 }
 
-/// The leaves of one triangle: all different, and around its corners and its middles.
+/// Checks the leaves of one duplicated triangle: all leaves differ, and their boxes cover its corners, edge midpoints
+/// and centroid.
 fn check_duplicates(parts: &[(&Triangle, &Node)]) -> Result<(), BvhError> {
     let Some(&(triangle, _)) = parts.first() else { return Ok(()) };
     let primitive = triangle.primitive;
+    // 1. No leaf holds it twice.
     if parts.windows(2).any(|pair| std::ptr::eq(pair[0].1, pair[1].1)) {
         return Err(BvhError::Repeated { primitive });
     }
+    // 2. Every sample point is in the box of some leaf.
     let [a, b, c] = corners(triangle);
     let points = [a, b, c, a.midpoint(b), b.midpoint(c), c.midpoint(a), (a / 3.0 + b / 3.0) + c / 3.0];
     let is_covered = |point: &Vec3| {

@@ -1,57 +1,62 @@
 //! Pruning: which nodes of a build tree are kept as device nodes.
 //!
-//! An inner node n with k children below a node a is left out, so that its children become a's, where that makes fewer fetches.
-//! With it, n is fetched as often as a's box is met, and its children as often as n's own box is; without it they are fetched as
-//! often as a's box is met. A box is met in proportion to its surface A, so the condition is k A(a) < A(a) + k A(n). It is decided
-//! from the leaves up, with a the node directly above. In the same way a subtree becomes a leaf where that is cheaper.
+//! An inner node n with k children and parent a is removed, so that its children become a's, if that lowers the
+//! expected number of fetches. With n, n is fetched whenever a's box is met, and its children whenever n's is; without
+//! it, the children are fetched whenever a's box is met. Boxes are met in proportion to their surface areas A, so n is
+//! removed if k A(a) < A(a) + k A(n). This is decided bottom up, where a is the direct parent. In the same way a
+//! subtree becomes one leaf if that costs less.
 
 use std::sync::atomic::{AtomicU8, AtomicU64, Ordering::Relaxed};
 
 use glam::Vec3;
 
-use super::collapse::MAX_WIDE_LEAF_SIZE;
-use crate::accel::MAX_BLAS_DEPTH;
-use crate::accel::build::SahParams;
 use crate::accel::padding::pad_corners;
-use crate::accel::tree::{BuildNode, BuildNodeContent, BuildTree};
+use crate::accel::tree::{BuildNode, BuildNodeContent, BuildTree, MAX_BLAS_DEPTH, SahParams};
 use crate::device::layout::PrimitiveRange;
 
-/// No inner node of a [`Blas`](super::Blas) has more children.
+/// The most children of an inner node of a [`Blas`](super::Blas). Pruning removes inner nodes, so a node may have more
+/// than two.
 pub const MAX_CHILDREN: usize = 8;
 
-/// Trees of fewer nodes are pruned and flattened by one thread, others side by side down to [`PARALLEL_DEPTH`].
+/// A subtree of at most this many triangles is one leaf of a wide node: the CPU tests four triangles against a ray at
+/// once.
+pub(super) const MAX_WIDE_LEAF_SIZE: u32 = 4;
+
+/// Trees of fewer nodes are pruned and flattened by one thread, others in parallel down to [`PARALLEL_DEPTH`].
 const PARALLEL_MINIMUM: usize = 1 << 12;
-/// See [`PARALLEL_MINIMUM`].
+/// Above this level of a large tree, the two children of a node are processed in parallel.
 const PARALLEL_DEPTH: u32 = 12;
 
-/// A build tree that is not empty, with the decision for each of its nodes whether it is kept.
+/// A build tree that is not empty, with the pruning decision for each of its nodes.
 pub(super) struct PrunedTree<'a> {
     tree: &'a BuildTree,
     params: &'a SahParams,
-    /// The size of each node's subtree after pruning, packed. Atomic for the threads that prune: each knows which subtree is its own.
+    /// The [`SubtreeSize`] of each node's subtree after pruning, packed. Atomic only because threads write disjoint
+    /// subtrees through a shared reference.
     sizes: Vec<AtomicU64>,
-    /// See [`height`](Self::wide_leaf_height).
+    /// See [`wide_leaf_height`](Self::wide_leaf_height).
     heights: Vec<AtomicU8>,
     task_depth: u32,
 }
 
-/// A node of the build tree and where its primitives begin.
+/// A subtree of the build tree, with the position of its first primitive in leaf order.
 #[derive(Clone, Copy)]
 pub(super) struct SubtreeRoot {
-    /// Index into the build tree's nodes.
+    /// Index of the subtree's root in the build tree's nodes.
     pub(super) node: usize,
-    /// The first of its primitives in the order of leaves.
+    /// Position of its first primitive in leaf order.
     pub(super) first_primitive: u32,
 }
 
-/// The size of a subtree after pruning.
+/// How many nodes and primitives a subtree has after pruning.
 #[derive(Clone, Copy)]
 pub(super) struct SubtreeSize {
     /// Nodes that are kept.
     pub(super) nodes: u32,
+    /// Primitive references in its leaves.
     pub(super) primitives: u32,
-    /// How many of the kept nodes have no other kept node of the subtree above them: 1 where the root is kept, else as many as the
-    /// children that it gives to the node above.
+    /// How many of the kept nodes have no other kept node of the subtree above them: 1 if the subtree's root is kept,
+    /// the number of its children if it is removed.
     pub(super) top_node_count: u32,
 }
 
@@ -61,42 +66,48 @@ impl SubtreeSize {
     }
 
     fn unpack(packed: u64) -> Self {
-        let [nodes, primitives, roots] = [packed >> 34, packed >> 4, packed].map(|bits| bits as u32);
-        Self { nodes, primitives: primitives & ((1 << 30) - 1), top_node_count: roots & 15 }
+        let [nodes, primitives, tops] = [packed >> 34, packed >> 4, packed].map(|bits| bits as u32);
+        Self { nodes, primitives: primitives & ((1 << 30) - 1), top_node_count: tops & 15 }
     }
 }
 
-/// What a subtree costs with its root kept; its size counts the root's children as `top_node_count`.
+/// A subtree with its root kept: its size, area and cost. Here `top_node_count` is the number of the root's children; 0
+/// marks a leaf.
 #[derive(Clone, Copy)]
 struct SubtreePlan {
     size: SubtreeSize,
-    /// Half the surface of the root's box.
+    /// Half the surface area of the root's box.
     area: f64,
-    /// Cost of all that is below the root, in fetches times area.
+    /// Expected cost of everything below the root: node fetches times half area.
     cost: f64,
     /// See [`PrunedTree::wide_leaf_height`].
     height: u8,
 }
 
 impl SubtreePlan {
-    /// Adds one of two children, and decides whether it is left out. Returns its size.
+    /// Adds one of the two children to its parent's plan, and decides whether the child node is removed. Returns the
+    /// child's size after that decision.
     fn add(&mut self, child: SubtreePlan) -> SubtreeSize {
+        // 1. The expected fetches that removing the child saves.
         let children = f64::from(child.size.top_node_count);
-        let saved = children * child.area + self.area - children * self.area;
-        let left_out = child.size.top_node_count > 0
-            && saved > 0.0
+        let cost_saved = children * child.area + self.area - children * self.area;
+        // 2. Remove an inner child if that saves any and the parent keeps at most eight children. The parent counts two
+        // children from the start, so that this one is counted once too often.
+        let is_removed = child.size.top_node_count > 0
+            && cost_saved > 0.0
             && self.size.top_node_count + child.size.top_node_count <= MAX_CHILDREN as u32 + 1;
-        let size = if left_out {
+        let size = if is_removed {
             SubtreeSize { nodes: child.size.nodes - 1, ..child.size }
         } else {
             SubtreeSize { top_node_count: 1, ..child.size }
         };
+        // 3. Add sizes and cost.
         self.size.nodes += size.nodes;
         self.size.primitives += size.primitives;
         self.size.top_node_count += size.top_node_count - 1;
         self.cost += child.cost + self.area;
-        if left_out {
-            self.cost -= saved;
+        if is_removed {
+            self.cost -= cost_saved;
         }
         size
     }
@@ -117,7 +128,8 @@ impl<'a> PrunedTree<'a> {
         Some(pruned)
     }
 
-    /// Decides for all nodes below one whether they are kept. `None` if the tree is too deep; recursion never is.
+    /// Decides, bottom up, which nodes of a subtree are kept, removed or turned into leaves. `None` if the tree is
+    /// deeper than [`MAX_BLAS_DEPTH`], at which recursion stops.
     fn prune(&self, index: usize, depth: u32) -> Option<SubtreePlan> {
         let node = &self.tree.nodes[index];
         let area = half_area(node);
@@ -134,59 +146,59 @@ impl<'a> PrunedTree<'a> {
         if depth + 1 == MAX_BLAS_DEPTH as u32 {
             return None;
         }
-        // 1. The children's subtrees.
+        // 1. Plan both children.
         let plan = |child| self.prune(child, depth + 1);
         let plans = self.join_near_root(depth, || plan(child), || plan(child + 1));
-        // 2. Whether each child is kept.
-        let mut whole = SubtreePlan {
+        // 2. Combine them, deciding for each whether it is removed.
+        let mut subtree = SubtreePlan {
             size: SubtreeSize { nodes: 1, primitives: 0, top_node_count: 2 },
             area,
             cost: 0.0,
             height: 0,
         };
         for (child, plan) in [child, child + 1].into_iter().zip([plans.0?, plans.1?]) {
-            let size = whole.add(plan);
+            let size = subtree.add(plan);
             self.set_size_and_height(child, size, plan.height);
-            whole.height = whole.height.max(plan.height + 1);
+            subtree.height = subtree.height.max(plan.height + 1);
         }
-        if whole.size.primitives <= MAX_WIDE_LEAF_SIZE {
-            whole.height = 0;
+        if subtree.size.primitives <= MAX_WIDE_LEAF_SIZE {
+            subtree.height = 0;
         }
-        // 3. Whether all of it had better be a leaf.
-        let leaf = self.leaf_primitive_count(index, &whole).map(leaf);
-        leaf.filter(|leaf| leaf.cost <= whole.cost).or(Some(whole))
+        // 3. Make one leaf of the subtree if that costs no more.
+        let leaf = self.leaf_primitive_count(index, &subtree).map(leaf);
+        leaf.filter(|leaf| leaf.cost <= subtree.cost).or(Some(subtree))
     }
 
-    /// How many primitives there would be in a leaf instead of a subtree, if they are not too many.
-    fn leaf_primitive_count(&self, index: usize, whole: &SubtreePlan) -> Option<u32> {
-        let (primitives, most) = (whole.size.primitives as usize, self.params.max_leaf_size);
+    /// How many primitives the subtree would have as one leaf, duplicates removed; `None` if more than a leaf may hold.
+    fn leaf_primitive_count(&self, index: usize, subtree: &SubtreePlan) -> Option<u32> {
+        let (primitives, max_count) = (subtree.size.primitives as usize, self.params.max_leaf_size);
         if !self.tree.has_duplicates {
-            return (primitives <= most).then_some(primitives as u32);
+            return (primitives <= max_count).then_some(primitives as u32);
         }
-        // Where primitives repeat, a leaf holds each once: it may have fewer than the subtree.
+        // Duplicates of one primitive in the subtree count once in a leaf.
         let mut gathered = [0; PrimitiveRange::MAX_COUNT as usize];
-        let is_worth_a_look = primitives <= 2 * most;
-        is_worth_a_look.then(|| self.gather(index, &mut gathered[..most])).flatten().map(|count| count as u32)
+        let may_fit = primitives <= 2 * max_count;
+        may_fit.then(|| self.gather(index, &mut gathered[..max_count])).flatten().map(|count| count as u32)
     }
 
-    /// Writes the primitives below a node to the beginning of `target`, each once. Returns how many there are, or `None` if they
-    /// do not fit.
+    /// Writes the primitives below a node to the beginning of `target`, without duplicates. Returns how many there are,
+    /// or `None` if they do not fit.
     pub(super) fn gather(&self, node: usize, target: &mut [u32]) -> Option<usize> {
         self.tree.collect_primitives(node, target, 0)
     }
 
-    /// All of the tree.
+    /// The whole tree.
     pub(super) fn root(&self) -> SubtreeRoot {
         SubtreeRoot { node: 0, first_primitive: 0 }
     }
 
-    /// The size of a node's subtree.
+    /// The size of a node's subtree after pruning.
     pub(super) fn size(&self, node: usize) -> SubtreeSize {
         SubtreeSize::unpack(self.sizes[node].load(Relaxed))
     }
 
-    /// The two children of an inner node of the build tree, the one with the larger surface first: it is hit more often, and what
-    /// it hides need not be visited. `None` for a leaf.
+    /// The two children of an inner node of the build tree, in the order in which they are written: the one with the
+    /// larger surface area first, which is hit more often and may hide the other. `None` for a leaf.
     pub(super) fn children(&self, subtree: SubtreeRoot) -> Option<[SubtreeRoot; 2]> {
         let BuildNodeContent::Children(child) = self.tree.nodes[subtree.node].contents() else { return None };
         let [left, right] = [child, child + 1].map(|index| half_area(&self.tree.nodes[index]));
@@ -201,18 +213,18 @@ impl<'a> PrunedTree<'a> {
         pad_corners(min, max).into()
     }
 
-    /// Half the surface of a node's box.
+    /// Half the surface area of a node's box.
     pub(super) fn half_area(&self, node: usize) -> f64 {
         half_area(&self.tree.nodes[node])
     }
 
-    /// Levels of inner nodes below a node, itself included, where a subtree of at most [`MAX_WIDE_LEAF_SIZE`] primitives is a leaf: what
-    /// `collapse` has to put into wide nodes.
+    /// The height of a subtree in levels of binary inner nodes, where a subtree of at most [`MAX_WIDE_LEAF_SIZE`]
+    /// primitives has height 0: what `collapse` has to fit into wide nodes.
     pub(super) fn wide_leaf_height(&self, node: usize) -> u8 {
         self.heights[node].load(Relaxed)
     }
 
-    /// Does both, side by side near the root.
+    /// Runs both, in parallel near the root.
     pub(super) fn join_near_root<A: Send, B: Send>(
         &self,
         depth: u32,
@@ -228,7 +240,7 @@ impl<'a> PrunedTree<'a> {
     }
 }
 
-/// Half the surface of a node's box, in f64, where no box of finite floats has an infinite area.
+/// Half the surface area of a node's box, in f64, so that the area of a finite f32 box is finite.
 fn half_area(node: &BuildNode) -> f64 {
     let d = node.max.as_dvec3() - node.min.as_dvec3();
     d.x * d.y + d.y * d.z + d.z * d.x

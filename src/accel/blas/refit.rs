@@ -1,44 +1,46 @@
-//! Bottom-level structures whose triangles have moved: new boxes in nodes that stay where they are.
+//! Refits a bottom-level structure after its triangles moved: new boxes in an unchanged hierarchy.
 
 use std::ops::Range;
 
 use glam::{Vec3, Vec4, Vec4Swizzles};
 use rayon::prelude::*;
 
-use super::refit_wide::{refit_wide, triangle_bounds};
+use super::refit_wide::refit_wide;
+use super::triangle_bounds::triangle_bounds;
 use crate::accel::padding::pad_bounds;
 use crate::accel::stats::half_area;
 use crate::accel::tree::SimdAabb;
-use crate::device::layout::{NONE, Node, Triangle, WideNode};
+use crate::device::layout::{Node, Triangle, WideNode};
 use crate::graph::Geometry;
 use crate::math::Aabb;
 
-/// Subtrees of at most so many nodes are refitted by one thread.
+/// Subtrees of at most this many nodes are refitted by one thread.
 const TASK_SIZE: usize = 1 << 11;
 
-/// What became of a structure.
+/// The result of refitting one structure.
 #[derive(Clone, Debug)]
 pub(crate) struct RefitReport {
     /// The box around the triangles, not padded.
     pub(crate) bounds: Aabb,
-    /// The [cost](crate::accel::BvhStats::sah_cost) that the structure had.
+    /// SAH cost (see [`BvhStats::sah_cost`](crate::accel::BvhStats::sah_cost)) before the refit.
     pub(crate) old_cost: f64,
-    /// And the one that it has now.
+    /// SAH cost after the refit.
     pub(crate) cost: f64,
-    /// Where nodes changed; ascending.
+    /// The ranges of nodes that changed; ascending.
     pub(crate) changed_nodes: Vec<Range<usize>>,
-    /// Where wide nodes changed: from the first to the last.
+    /// From the first to the last wide node that changed.
     pub(crate) changed_wide_nodes: Option<Range<usize>>,
-    /// Where triangles changed; ascending.
+    /// The ranges of triangles that changed; ascending.
     pub(crate) changed_triangles: Vec<Range<usize>>,
 }
 
-/// Puts the triangles of a structure where those of `geometry` are now, and computes all boxes anew, from the leaves to the
-/// root. O(n), on all threads of the current rayon pool. Boxes of leaves are as a builder makes them; that of an inner node is
-/// the union of its children's.
+/// Copies the corners of the triangles from `geometry` and recomputes all boxes, leaves to root. O(n) on all threads of
+/// the current rayon pool. Leaf boxes are padded as by a builder; the box of an inner node is the union of its
+/// children's.
 ///
-/// `None` where the structure must be built anew, since it does not hold the triangles that can be hit, each once: some got or
-/// lost two equal corners, or it is one that repeats triangles. What it holds is then unspecified.
+/// `None` if the structure must be rebuilt, since its triangles are no longer the hittable ones of the geometry: some
+/// became, or ceased to be, degenerate (two equal corners). Callers must not pass a structure with duplicates. After
+/// `None` the arrays hold unspecified values.
 pub(crate) fn refit(
     nodes: &mut [Node],
     wide_nodes: &mut [WideNode],
@@ -46,13 +48,14 @@ pub(crate) fn refit(
     geometry: &Geometry,
     triangle_cost: f32,
 ) -> Option<RefitReport> {
+    // 1. Give up if the number of hittable triangles has changed.
     if triangles.len() != geometry.indices.len() && triangles.len() != count_non_degenerate(geometry) {
         return None;
     }
-    // 1. Subtrees, side by side, each with its triangles.
+    // 2. Refit subtrees in parallel, each with its own triangles.
     let node_count = nodes.len();
     let old_root = nodes.first().map_or(1.0, half_area);
-    let (upper, ranges) = find_refit_tasks(nodes);
+    let (upper_nodes, ranges) = find_refit_tasks(nodes);
     let tasks = tasks(nodes, triangles, ranges);
     let subtrees: Vec<(RefitTask<'_>, RefittedSubtree)> = tasks
         .into_par_iter()
@@ -61,6 +64,7 @@ pub(crate) fn refit(
             Some((task, subtree))
         })
         .collect::<Option<_>>()?;
+    // 3. Collect their bounds, costs and changed ranges.
     let mut bounds = SimdAabb::EMPTY;
     let mut refitted = RefitReport {
         bounds: Aabb::EMPTY,
@@ -83,8 +87,8 @@ pub(crate) fn refit(
         }
     }
     refitted.bounds = Aabb { min: bounds.min.xyz(), max: bounds.max.xyz() };
-    // 2. What is above them.
-    for index in upper.into_iter().rev() {
+    // 4. Refit the inner nodes above those subtrees.
+    for index in upper_nodes.into_iter().rev() {
         let old = nodes[index];
         let (bounds, children) = children_bounds(nodes, index, 0, node_count);
         nodes[index] = with_bounds(&old, &bounds);
@@ -95,42 +99,44 @@ pub(crate) fn refit(
         }
     }
     refitted.changed_nodes.sort_unstable_by_key(|range| range.start);
-    // The root is fetched once, and all else in proportion to it.
+    // The root is fetched once; all other terms are relative to its area.
     refitted.old_cost = 1.0 + refitted.old_cost / old_root;
     refitted.cost = 1.0 + refitted.cost / nodes.first().map_or(1.0, half_area);
-    // 3. The wide nodes.
+    // 5. Refit the wide nodes.
     if !refitted.changed_triangles.is_empty() {
         refitted.changed_wide_nodes = refit_wide(wide_nodes, triangles);
     }
     Some(refitted)
 }
 
-/// Triangles that can be hit.
+/// The number of triangles whose three corners differ; others are never hit.
 fn count_non_degenerate(geometry: &Geometry) -> usize {
-    let has_area = |triangle: &&[u32; 3]| {
+    let is_non_degenerate = |triangle: &&[u32; 3]| {
         let [a, b, c] = triangle.map(|v| geometry.positions[v as usize]);
         a != b && b != c && c != a
     };
-    geometry.indices.par_chunks(1 << 13).map(|chunk| chunk.iter().filter(has_area).count()).sum()
+    geometry.indices.par_chunks(1 << 13).map(|chunk| chunk.iter().filter(is_non_degenerate).count()).sum()
 }
 
-/// The inner nodes above subtrees of some size, and these; both ascending.
+/// Splits the hierarchy into subtrees of at most [`TASK_SIZE`] nodes and the inner nodes above them. Returns those
+/// nodes and the ranges of the subtrees; both ascending.
 fn find_refit_tasks(nodes: &[Node]) -> (Vec<usize>, Vec<Range<usize>>) {
-    let (mut upper, mut subtrees, mut index) = (Vec::new(), Vec::new(), 0);
+    let (mut upper_nodes, mut subtrees, mut index) = (Vec::new(), Vec::new(), 0);
+    // Descend from the root, and cut off each subtree that is small enough.
     while index < nodes.len() {
-        let end = subtree_end(&nodes[index], nodes.len());
+        let end = nodes[index].subtree_end(nodes.len());
         if end - index > TASK_SIZE {
-            upper.push(index);
+            upper_nodes.push(index);
             index += 1;
         } else {
             subtrees.push(index..end);
             index = end;
         }
     }
-    (upper, subtrees)
+    (upper_nodes, subtrees)
 }
 
-/// A subtree with its triangles, which lie beside each other as its leaves do.
+/// A subtree with its triangles, which are contiguous because both are in leaf order.
 struct RefitTask<'a> {
     nodes: &'a mut [Node],
     first_node: usize,
@@ -138,50 +144,53 @@ struct RefitTask<'a> {
     first_triangle: usize,
 }
 
+/// Divides the arrays between the subtrees.
 fn tasks<'a>(
     mut nodes: &'a mut [Node],
     mut triangles: &'a mut [Triangle],
     subtrees: Vec<Range<usize>>,
 ) -> Vec<RefitTask<'a>> {
     let triangle_count = triangles.len();
-    // A subtree's first leaf is where the first children lead.
+    // 1. The first triangle of each subtree is that of its first leaf in depth-first order.
     let first_triangle = |subtree: &Range<usize>| {
-        let leaf = nodes[subtree.start..].iter().find(|node| node.primitives.primitive_count() > 0);
+        let leaf = nodes[subtree.start..].iter().find(|node| node.is_leaf());
         leaf.map_or(triangle_count, |leaf| leaf.primitives.first_primitive() as usize)
     };
     let starts: Vec<usize> = subtrees.iter().map(first_triangle).chain([triangle_count]).collect();
+    // 2. Divide both arrays at these points.
     let mut node_start = 0;
     let mut tasks = Vec::with_capacity(subtrees.len());
     for (subtree, starts) in subtrees.into_iter().zip(starts.windows(2)) {
         let (_, rest) = std::mem::take(&mut nodes).split_at_mut(subtree.start - node_start);
-        let (of_nodes, rest) = rest.split_at_mut(subtree.len());
+        let (task_nodes, rest) = rest.split_at_mut(subtree.len());
         (nodes, node_start) = (rest, subtree.end);
-        let (of_triangles, rest) = std::mem::take(&mut triangles).split_at_mut(starts[1] - starts[0]);
+        let (task_triangles, rest) = std::mem::take(&mut triangles).split_at_mut(starts[1] - starts[0]);
         triangles = rest;
         tasks.push(RefitTask {
-            nodes: of_nodes,
+            nodes: task_nodes,
             first_node: subtree.start,
-            triangles: of_triangles,
+            triangles: task_triangles,
             first_triangle: starts[0],
         });
     }
     tasks
 }
 
-/// What became of a subtree.
+/// What refitting one subtree found.
 struct RefittedSubtree {
     bounds: SimdAabb,
-    /// Old and new; in units of area.
+    /// SAH cost before and after, in fetches times half area, not yet divided by the root's area.
     costs: [f64; 2],
     has_changed: bool,
 }
 
 impl RefitTask<'_> {
-    /// `None` where a triangle has two equal corners.
+    /// Refits the subtree; `None` if a triangle has two equal corners.
     fn refit(&mut self, geometry: &Geometry, node_count: usize, triangle_cost: f32) -> Option<RefittedSubtree> {
+        // 1. Update the triangles.
         let mut subtree =
             RefittedSubtree { bounds: SimdAabb::EMPTY, costs: [0.0; 2], has_changed: self.update_triangles(geometry)? };
-        // Children before parents.
+        // 2. Refit the nodes, children before parents: leaves from their triangles, inner nodes from their children.
         for index in (0..self.nodes.len()).rev() {
             let node = self.nodes[index];
             let count = node.primitives.primitive_count();
@@ -201,28 +210,33 @@ impl RefitTask<'_> {
         Some(subtree)
     }
 
-    /// Puts the triangles where those of `geometry` are. Whether any of them moved; `None` as [`refit`](Self::refit).
+    /// Copies the corners of the triangles from `geometry`. Returns whether any of them changed; `None` as in
+    /// [`refit`](Self::refit), or if a coordinate is not finite.
     fn update_triangles(&mut self, geometry: &Geometry) -> Option<bool> {
-        let (mut difference, mut is_whole, mut zero) = (0, true, Vec3::ZERO);
+        // For each triangle: load its corners, check that they differ and are finite, compare them with the old ones,
+        // store them.
+        let (mut difference, mut is_non_degenerate, mut finiteness_probe) = (0, true, Vec3::ZERO);
         for triangle in &mut *self.triangles {
             let corners = geometry.indices.get(triangle.primitive as usize)?;
             let [a, b, c] = corners.map(|v| geometry.positions.get(v as usize).copied().unwrap_or(Vec3::NAN));
-            is_whole &= (a != b) & (b != c) & (c != a);
-            // Unless some number is not finite.
-            zero += (a + b * 0.0 + c * 0.0) * 0.0;
-            let new = Triangle { v0: a.to_array(), v1: b.to_array(), v2: c.to_array(), ..*triangle };
+            is_non_degenerate &= (a != b) & (b != c) & (c != a);
+            // `x * 0` is NaN for an infinite or NaN coordinate, so the sum stays zero only if all are finite.
+            finiteness_probe += (a + b * 0.0 + c * 0.0) * 0.0;
+            let new = Triangle::new([a, b, c].map(|corner| corner.to_array()), triangle.primitive);
             let [new_bits, old_bits] = [new, *triangle].map(bytemuck::cast::<_, [u32; 12]>);
             difference |= new_bits.iter().zip(&old_bits).fold(0, |bits, (a, b)| bits | (a ^ b));
             *triangle = new;
         }
-        (is_whole && zero == Vec3::ZERO).then_some(difference != 0)
+        (is_non_degenerate && finiteness_probe == Vec3::ZERO).then_some(difference != 0)
     }
 }
 
-/// The box around an inner node's children, and how many these are. `nodes` start at `first` of the whole array.
+/// The box around an inner node's children, and their number. `nodes` is the part of the whole array that starts at
+/// index `first`.
 fn children_bounds(nodes: &[Node], index: usize, first: usize, node_count: usize) -> (SimdAabb, f64) {
     let (mut bounds, mut children) = (SimdAabb::EMPTY, 0.0);
-    let end_of = |node: &Node| subtree_end(node, node_count) - first;
+    let end_of = |node: &Node| node.subtree_end(node_count) - first;
+    // Visit the children along their escape indices.
     let (mut child, end) = (index + 1, end_of(&nodes[index]));
     while child < end {
         let [min, max] = bytemuck::cast::<_, [Vec4; 2]>(nodes[child]);
@@ -233,19 +247,14 @@ fn children_bounds(nodes: &[Node], index: usize, first: usize, node_count: usize
     (bounds, children)
 }
 
-/// A node with another box. What is in the fourth lanes of that does not matter.
+/// The node with another box; its escape index and primitives, in the fourth lanes, are kept.
 #[inline]
 fn with_bounds(node: &Node, bounds: &SimdAabb) -> Node {
     let [min, max] = bytemuck::cast::<_, [Vec4; 2]>(*node);
     bytemuck::cast([bounds.min.with_w(min.w), bounds.max.with_w(max.w)])
 }
 
-/// The index after a node's subtree.
-fn subtree_end(node: &Node, node_count: usize) -> usize {
-    if node.escape_index == NONE { node_count } else { node.escape_index as usize }
-}
-
-/// Adds a range after the others, to the last one where they touch.
+/// Appends a range, merging it with the last one if they touch.
 fn push_merging(ranges: &mut Vec<Range<usize>>, range: Range<usize>) {
     match ranges.last_mut() {
         Some(last) if last.end == range.start => last.end = range.end,
@@ -259,6 +268,7 @@ mod tests {
     use crate::accel::stats::BvhStats;
     use crate::accel::validate::validate_nodes;
     use crate::accel::{Blas, BlasBuildParams};
+    use crate::device::layout::NONE;
 
     const COST: f32 = 1.5;
 
@@ -273,7 +283,7 @@ mod tests {
         Geometry::new((0..101 * 101).map(place).collect::<Vec<_>>(), triangles.collect::<Vec<_>>())
     }
 
-    /// The same hierarchy without some of its inner nodes, so that others have up to 2^5 children.
+    /// The same hierarchy with four of five inner nodes removed, so that others have up to 2^5 children.
     fn thinned(nodes: &[Node]) -> Vec<Node> {
         let stays = |(i, node): (usize, &Node)| i == 0 || node.primitives.primitive_count() > 0 || i % 5 == 0;
         let mut places = vec![0; nodes.len() + 1];

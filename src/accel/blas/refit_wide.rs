@@ -1,65 +1,64 @@
-//! Wide nodes whose triangles have moved: new boxes for the same children in the same slots.
+//! Refits wide nodes after their triangles moved: new quantised boxes; children and their slots stay as they are.
 
 use std::ops::Range;
 
-use glam::{Vec3, Vec4, Vec4Swizzles};
+use glam::{Vec3, Vec4Swizzles};
 use rayon::prelude::*;
 
-use super::collapse::{WIDE_CHILD_COUNT, quantize_node};
+use super::quantize::{WIDE_CHILD_COUNT, quantize_node};
+use super::triangle_bounds::triangle_bounds;
 use crate::accel::padding::pad_bounds;
 use crate::accel::tree::SimdAabb;
 use crate::device::layout::{Triangle, WideNode};
 
-/// Nodes that one thread takes at a time.
+/// Nodes per parallel chunk.
 const CHUNK: usize = 1 << 8;
 
-/// Computes all boxes anew, and tells from where to where nodes changed. O(n), on all threads of the current rayon pool but for a
-/// pass over the nodes' boxes. Which child has which slot stays, though another might suit its place better by now.
+/// Recomputes the boxes of all wide nodes, bottom up, and returns the range from the first to the last node that
+/// changed. O(n) on all threads of the current rayon pool, except for one sequential pass over the nodes' boxes. Slots
+/// are not reassigned, though the front-to-back order may be slightly worse after large motion.
 pub(super) fn refit_wide(nodes: &mut [WideNode], triangles: &[Triangle]) -> Option<Range<usize>> {
-    let leaf = |node: &WideNode, slot: usize| {
-        let (first, count) =
-            (node.children[slot].first_primitive() as usize, node.children[slot].primitive_count() as usize);
+    let leaf_bounds = |node: &WideNode, slot: usize| {
+        let range = node.children[slot].triangles();
+        let (first, count) = (range.first_primitive() as usize, range.primitive_count() as usize);
         pad_bounds(triangle_bounds(&triangles[first..first + count]))
     };
     let slots = |node: &WideNode| {
-        let used = node.exponents[3];
+        let used = node.child_mask();
         (0..WIDE_CHILD_COUNT).filter(move |slot| used >> slot & 1 != 0)
     };
-    // 1. The boxes around the leaves of each node, then around all that is below it: children come after their parents.
+    // 1. Bound the leaves of each node in parallel, then propagate the boxes bottom up: children are stored after their
+    // parents.
     let around_leaves = |node: &WideNode| {
-        let leaves = slots(node).filter(|&slot| node.children[slot].primitive_count() > 0);
-        leaves.fold(SimdAabb::EMPTY, |bounds, slot| bounds.union(leaf(node, slot)))
+        let leaves = slots(node).filter(|&slot| node.children[slot].is_leaf());
+        leaves.fold(SimdAabb::EMPTY, |bounds, slot| bounds.union(leaf_bounds(node, slot)))
     };
     let mut boxes: Vec<SimdAabb> = nodes.par_iter().with_min_len(CHUNK).map(around_leaves).collect();
     for (index, node) in nodes.iter().enumerate().rev() {
-        for slot in slots(node).filter(|&slot| node.children[slot].primitive_count() == 0) {
-            boxes[index] = boxes[index].union(boxes[node.children[slot].first_primitive() as usize]);
+        for slot in slots(node).filter(|&slot| !node.children[slot].is_leaf()) {
+            boxes[index] = boxes[index].union(boxes[node.children[slot].node_index() as usize]);
         }
     }
-    // 2. The grids.
+    // 2. Quantise each node again, on the grid of its new box.
     let corners = |bounds: SimdAabb| -> [Vec3; 2] { [bounds.min.xyz(), bounds.max.xyz()] };
-    let requantise = |(index, node): (usize, &mut WideNode)| {
+    let requantize = |(index, node): (usize, &mut WideNode)| {
         let mut children = [None; WIDE_CHILD_COUNT];
         for slot in slots(node) {
             let child = node.children[slot];
-            let is_leaf = child.primitive_count() > 0;
-            children[slot] =
-                Some(corners(if is_leaf { leaf(node, slot) } else { boxes[child.first_primitive() as usize] }));
+            children[slot] = Some(corners(if child.is_leaf() {
+                leaf_bounds(node, slot)
+            } else {
+                boxes[child.node_index() as usize]
+            }));
         }
         let new = WideNode { children: node.children, ..quantize_node(corners(boxes[index]), &children) };
         let has_changed = new != *node;
         *node = new;
         has_changed.then_some(index..index + 1)
     };
-    let either = |a: Option<Range<usize>>, b: Option<Range<usize>>| match (a, b) {
+    let union_range = |a: Option<Range<usize>>, b: Option<Range<usize>>| match (a, b) {
         (Some(a), Some(b)) => Some(a.start.min(b.start)..a.end.max(b.end)),
         (a, b) => a.or(b),
     };
-    nodes.par_iter_mut().enumerate().with_min_len(CHUNK).map(requantise).reduce(|| None, either)
-}
-
-/// The box around triangles, not padded.
-pub(super) fn triangle_bounds(triangles: &[Triangle]) -> SimdAabb {
-    let corners = triangles.iter().flat_map(|triangle| bytemuck::cast::<_, [Vec4; 3]>(*triangle));
-    corners.fold(SimdAabb::EMPTY, SimdAabb::extended_to)
+    nodes.par_iter_mut().enumerate().with_min_len(CHUNK).map(requantize).reduce(|| None, union_range)
 }

@@ -1,19 +1,18 @@
-//! The kd-tree: the top-down builder with spatial splits alone.
+//! The kd-tree: the top-down builder with spatial splits wherever one is possible.
 //!
-//! Each node is a cell of space, cut down to what is in it, and each plane is the surface area heuristic's. Where the budget for
-//! duplicated references is used up, primitives are divided instead.
+//! The planes are chosen by the SAH, and node boxes are clipped to their contents. Where the duplicate budget is used
+//! up, object splits follow.
 
-use super::SahParams;
 use super::binned_sah;
 use super::spatial_split::SpatialSplits;
-use crate::accel::tree::{BuildTree, PrimitiveReference, ReferenceBounds};
+use crate::accel::tree::{BuildTree, PrimitiveReference, ReferenceBounds, SahParams};
 use crate::graph::Geometry;
 
-/// How many references spatial splits may add, as a share of the geometry's triangles: leaves then hold no more than twice as many.
-/// More of them make the tree worse (`docs/BENCHMARKS.md`).
+/// The duplicate budget as a fraction of the triangle count: leaves hold at most twice as many references as there are
+/// triangles. A larger budget makes the tree worse (`docs/BENCHMARKS.md`).
 const DUPLICATE_BUDGET: f32 = 1.0;
 
-/// Builds a kd-tree over references; `extent` is that of all of them. O(n log n).
+/// Builds a kd-tree over `references`, whose bounds are `extent`. O(n log n).
 pub(super) fn build(
     geometry: &Geometry,
     references: Vec<PrimitiveReference>,

@@ -1,8 +1,9 @@
 //! Builders: from the boxes of primitives to a binary build tree.
 //!
-//! One file a builder. [`build_tree`] picks the one that a [`BlasKind`] asks for: `agglomerative` merges neighbours from the
-//! bottom up; `binned_sah` divides primitives from the top down and, given a budget for them, takes spatial splits
-//! (`spatial_split`); `kd_tree` is the top-down builder with spatial splits alone; `reinsertion` improves a finished tree.
+//! One file per builder. [`build_tree`] chooses the one that a [`BlasKind`] asks for: `agglomerative` merges neighbours
+//! bottom up; `binned_sah` splits top down, by object splits (`object_bins`) and, given a duplicate budget, by spatial
+//! splits (`spatial_split`); `kd_tree` is the top-down builder with spatial splits wherever one is possible;
+//! `reinsertion` lowers the SAH cost of a finished tree.
 
 pub(super) mod agglomerative;
 mod binned_sah;
@@ -16,31 +17,22 @@ mod triangle_clip;
 use glam::Vec3;
 use rayon::prelude::*;
 
-pub use self::binned_sah::MAX_BLAS_DEPTH;
 use self::reinsertion::{ReinsertionParams, reinsert};
 use self::spatial_split::SpatialSplits;
-use super::tree::{BuildTree, PrimitiveReference, ReferenceBounds};
+use super::tree::{BuildTree, PrimitiveReference, ReferenceBounds, SahParams};
 use crate::Result;
 use crate::graph::{BlasKind, Geometry, Quality};
 use crate::math::Aabb;
 
-/// What the surface area heuristic weighs.
-#[derive(Clone, Copy)]
-pub(super) struct SahParams {
-    /// The most primitives in a leaf.
-    pub(super) max_leaf_size: usize,
-    /// Cost of testing a primitive, in units of fetching a node and testing its box.
-    pub(super) primitive_cost: f32,
-}
+/// The duplicate budget of spatial splits for [`Quality::High`], as a fraction of the triangle count. A larger one
+/// makes the tree hardly better (`docs/BENCHMARKS.md`).
+const HIGH_QUALITY_DUPLICATE_BUDGET: f32 = 0.3;
+/// The reinsertion done for [`Quality::High`].
+const HIGH_QUALITY_REINSERTION: ReinsertionParams = ReinsertionParams { iterations: 4, candidate_fraction: 0.1 };
 
-/// For [`Quality::High`], how many references spatial splits may add, as a share of the geometry's triangles. More of them hardly
-/// improve the tree (`docs/BENCHMARKS.md`).
-const BEST_DUPLICATE_BUDGET: f32 = 0.3;
-/// For [`Quality::High`], how much reinsertion is done.
-const HIGH_QUALITY_REINSERTION: ReinsertionParams = ReinsertionParams { rounds: 4, share: 0.1 };
-
-/// Builds the tree of a structure over references to the triangles of `geometry`; `extent` is that of all of them. Only the
-/// tree of [`Quality::Low`] may be deeper than [`MAX_BLAS_DEPTH`]; it leaves the references as they are, the others take them.
+/// Builds the tree of a structure over `references` to the triangles of `geometry`; their bounds are `extent`. Only the
+/// tree of [`Quality::Low`] may be deeper than [`MAX_BLAS_DEPTH`](super::MAX_BLAS_DEPTH); building it leaves
+/// `references` as they are, while the other builders take them.
 pub(super) fn build_tree(
     geometry: &Geometry,
     references: &mut Vec<PrimitiveReference>,
@@ -48,49 +40,56 @@ pub(super) fn build_tree(
     structure: BlasKind,
     params: &SahParams,
 ) -> BuildTree {
+    // Low quality: agglomerative clustering.
     if structure == BlasKind::Bvh(Quality::Low) {
         return agglomerative::build_tree(references);
     }
     let references = std::mem::take(references);
     match structure {
+        // Medium quality: object splits only.
         BlasKind::Bvh(Quality::Low | Quality::Medium) => binned_sah::build(references, extent, params, None),
+        // High quality: object and spatial splits, then reinsertion.
         BlasKind::Bvh(Quality::High) => {
-            let splits = SpatialSplits::new(geometry, extent, references.len(), BEST_DUPLICATE_BUDGET);
+            let splits = SpatialSplits::new(geometry, extent, references.len(), HIGH_QUALITY_DUPLICATE_BUDGET);
             let mut tree = binned_sah::build(references, extent, params, splits);
             reinsert(&mut tree, HIGH_QUALITY_REINSERTION);
             tree
         }
+        // A kd-tree: spatial splits wherever possible.
         BlasKind::KdTree => kd_tree::build(geometry, references, extent, params),
     }
 }
 
-/// Triangles that one thread takes at a time.
+/// Triangles per parallel chunk.
 const CHUNK: usize = 1 << 13;
 
-/// The boxes of all triangles that can be hit.
+/// References to all triangles that can be hit, and their bounds.
 pub(super) fn triangle_references(geometry: &Geometry) -> Result<(Vec<PrimitiveReference>, ReferenceBounds)> {
     if geometry.indices.len() > Geometry::MAX_TRIANGLES {
         geometry.validate()?;
     }
+    // 1. Bound all triangles in parallel.
     let mut references: Vec<PrimitiveReference> = bytemuck::zeroed_vec(geometry.indices.len());
     let measured = references
         .par_chunks_mut(CHUNK)
         .enumerate()
         .map(|(chunk, references)| measure_triangles(geometry, chunk * CHUNK, references))
         .reduce(MeasuredTriangles::default, MeasuredTriangles::join);
+    // 2. Report the first invalid index or coordinate.
     if !measured.valid {
         geometry.validate()?;
     }
+    // 3. Remove degenerate triangles.
     for &primitive in measured.degenerate_triangles.iter().rev() {
         references.swap_remove(primitive);
     }
     Ok((references, measured.extent))
 }
 
-/// What is known of a run of triangles.
+/// What a pass over a range of triangles found.
 struct MeasuredTriangles {
     extent: ReferenceBounds,
-    /// Triangles with equal corners, ascending; their references mean nothing.
+    /// Indices of triangles with two equal corners, ascending; their references are zero and removed afterwards.
     degenerate_triangles: Vec<usize>,
     /// Whether all indices are in range and all corners finite.
     valid: bool,
@@ -109,6 +108,7 @@ impl MeasuredTriangles {
     }
 }
 
+/// Validates the triangles from index `first` on, and writes a reference to each that is not degenerate.
 fn measure_triangles(geometry: &Geometry, first: usize, references: &mut [PrimitiveReference]) -> MeasuredTriangles {
     let mut measured = MeasuredTriangles::default();
     for (i, reference) in references.iter_mut().enumerate() {

@@ -1,5 +1,5 @@
-//! Where to split: the surface area heuristic, evaluated on bins of primitive centres (Wald 2007, "On fast Construction of
-//! SAH-based Bounding Volume Hierarchies").
+//! Object splits by the surface area heuristic, evaluated at bins of primitive centres (I. Wald, *On fast Construction
+//! of SAH-based Bounding Volume Hierarchies*, 2007).
 
 use glam::{IVec4, Mat4, Vec4};
 use rayon::prelude::*;
@@ -9,9 +9,10 @@ use crate::accel::tree::{PrimitiveReference, ReferenceBounds, SimdAabb};
 /// The most bins along an axis.
 const MAX_BINS: usize = 32;
 
-/// From here on a node is binned and partitioned by several threads, in chunks of [`CHUNK_SIZE`] references.
+/// Nodes of at least this many references are binned and partitioned in parallel, in chunks of [`CHUNK_SIZE`]
+/// references.
 pub(super) const PARALLEL_BINNING_THRESHOLD: usize = 1 << 16;
-/// See [`PARALLEL_BINNING_THRESHOLD`].
+/// References per parallel chunk; fixed, so that the result does not depend on the number of threads.
 pub(super) const CHUNK_SIZE: usize = 1 << 13;
 
 /// Maps a reference to its bin along each axis.
@@ -23,24 +24,27 @@ pub(super) struct BinMapping {
     bin_count: usize,
 }
 
-/// 2^23: adding it to a small non-negative float leaves the float, rounded to an integer, in the lowest bits.
+/// 2^23. Adding it to a float in [0, 2^23) rounds to the nearest integer and leaves that integer in the lowest bits of
+/// the mantissa.
 const ROUNDING_OFFSET: f32 = 8_388_608.0;
 
 impl BinMapping {
-    /// Bins for a node, or `None` if all centres coincide.
+    /// The mapping of a node's centres to bins, or `None` if all centres coincide.
     pub(super) fn new(extent: &ReferenceBounds, primitive_count: usize) -> Option<Self> {
+        // 1. Choose the number of bins: more for larger nodes, at most 32.
         let bin_count = (4 + primitive_count / 8).min(MAX_BINS);
         let width = extent.centers.max - extent.centers.min;
-        // The outermost centres are the middles of the outermost bins.
+        // 2. Map the outermost centres to the centres of the outermost bins, so that neither of these bins is empty.
         let axis_scale = |width: f32| {
             let scale = (bin_count - 1) as f32 / width;
             if width > 0.0 && width.is_finite() && scale.is_finite() { scale } else { 0.0 }
         };
         let scale = Vec4::new(axis_scale(width.x), axis_scale(width.y), axis_scale(width.z), 0.0);
+        // 3. If all centres coincide along every axis, there is no split.
         (scale != Vec4::ZERO).then_some(Self { origin: extent.centers.min, scale, bin_count })
     }
 
-    /// The bin along each axis, plus [`ROUNDING_OFFSET`].
+    /// The bin index along each axis plus [`ROUNDING_OFFSET`].
     #[inline]
     fn bin_position(&self, doubled_center: Vec4) -> Vec4 {
         (doubled_center - self.origin) * self.scale + Vec4::splat(ROUNDING_OFFSET)
@@ -53,7 +57,7 @@ impl BinMapping {
     }
 }
 
-/// What fell into each bin, for each axis.
+/// For each bin and axis, the box around the references whose centres fall into it, and their count.
 #[derive(Clone)]
 pub(super) struct ObjectBins {
     boxes: [[SimdAabb; 3]; MAX_BINS],
@@ -63,10 +67,12 @@ pub(super) struct ObjectBins {
 impl ObjectBins {
     pub(super) const EMPTY: Self = Self { boxes: [[SimdAabb::EMPTY; 3]; MAX_BINS], counts: [[0; 4]; MAX_BINS] };
 
-    /// Forgets what was in the bins and fills them anew.
+    /// Clears the bins and accumulates all references.
     pub(super) fn fill(&mut self, references: &[PrimitiveReference], binning: &BinMapping) {
+        // 1. Clear the bins in use.
         self.boxes[..binning.bin_count].fill([SimdAabb::EMPTY; 3]);
         self.counts[..binning.bin_count].fill([0; 4]);
+        // 2. Add each reference's box and count to its bin along every axis.
         for reference in references {
             let bounds = reference.bounds();
             for (axis, bin) in binning.bin_indices(reference).into_iter().enumerate() {
@@ -77,14 +83,17 @@ impl ObjectBins {
         }
     }
 
-    /// The same by several threads; returns the bins of each chunk, which partitioning needs.
+    /// [`fill`](Self::fill) in parallel. Returns the bins of each chunk, whose counts give the write offsets of
+    /// parallel partitioning.
     pub(super) fn fill_parallel(&mut self, references: &[PrimitiveReference], binning: &BinMapping) -> Vec<Self> {
+        // 1. Bin each chunk in parallel.
         let fill = |chunk| {
             let mut bins = Self::EMPTY;
             bins.fill(chunk, binning);
             bins
         };
         let chunks: Vec<Self> = references.par_chunks(CHUNK_SIZE).map(fill).collect();
+        // 2. Merge the bins of the chunks, in order.
         *self = chunks.iter().fold(Self::EMPTY, |mut sum, chunk| {
             sum.merge(chunk);
             sum
@@ -101,17 +110,19 @@ impl ObjectBins {
         }
     }
 
-    /// How many references lie left of the split.
+    /// How many of the binned references are left of the split.
     pub(super) fn left_count(&self, split: &ObjectSplit) -> usize {
         self.counts[..split.first_right_bin].iter().map(|counts| counts[split.axis] as usize).sum()
     }
 
-    /// The split of least cost. `scale` makes the node about one unit long, so that no area overflows.
+    /// The object split of least SAH cost over all bins and axes. `scale` brings the node to about unit size, so that
+    /// no area overflows.
     ///
-    /// The three axes are swept side by side, a lane each. The outermost bins of a usable axis are never empty (they hold the
-    /// outermost centres), so neither is any side of a split; on other axes the cost is NaN and never the least.
+    /// The three axes are swept together, one per SIMD lane. On an axis that can be split, the outermost bins hold the
+    /// outermost centres, so both sides of every split are non-empty. On an axis where all centres coincide the right
+    /// side is empty and its cost NaN, which never compares as less.
     pub(super) fn best_split(&self, binning: &BinMapping, scale: f32) -> Option<ObjectSplit> {
-        // The cost of what lies right of each plane, the plane before bin 1 first.
+        // 1. Sweep from the right: the cost of the right side of each plane between two bins.
         let mut right_costs = [Vec4::ZERO; MAX_BINS];
         let right_costs = &mut right_costs[..binning.bin_count - 1];
         let mut side = SideAccumulator::EMPTY;
@@ -119,25 +130,28 @@ impl ObjectBins {
             side.add(&self.boxes[plane + 1], &self.counts[plane + 1]);
             *cost = side.costs(scale);
         }
-        let mut least = Vec4::INFINITY;
-        let mut least_bins = Vec4::ZERO;
+        // 2. Sweep from the left: add the cost of the left side, and keep the least total per axis.
+        let mut best_costs = Vec4::INFINITY;
+        let mut best_bins = Vec4::ZERO;
         let mut side = SideAccumulator::EMPTY;
         for (plane, &right_cost) in right_costs.iter().enumerate() {
             side.add(&self.boxes[plane], &self.counts[plane]);
             let costs = side.costs(scale) + right_cost;
-            let less = costs.cmplt(least);
-            least = Vec4::select(less, costs, least);
-            least_bins = Vec4::select(less, Vec4::splat((plane + 1) as f32), least_bins);
+            let is_better = costs.cmplt(best_costs);
+            best_costs = Vec4::select(is_better, costs, best_costs);
+            best_bins = Vec4::select(is_better, Vec4::splat((plane + 1) as f32), best_bins);
         }
-        let axis = if least.x <= least.y && least.x <= least.z {
+        // 3. Choose the axis of least cost; ties go to the lowest axis.
+        let axis = if best_costs.x <= best_costs.y && best_costs.x <= best_costs.z {
             0
-        } else if least.y <= least.z {
+        } else if best_costs.y <= best_costs.z {
             1
         } else {
             2
         };
-        (least[axis] < f32::INFINITY)
-            .then(|| self.object_split_at(axis, least_bins[axis] as usize, least[axis], binning))
+        // 4. Collect the boxes and the left count of that split.
+        (best_costs[axis] < f32::INFINITY)
+            .then(|| self.object_split_at(axis, best_bins[axis] as usize, best_costs[axis], binning))
     }
 
     fn object_split_at(&self, axis: usize, bin: usize, cost: f32, binning: &BinMapping) -> ObjectSplit {
@@ -158,7 +172,7 @@ impl ObjectBins {
     }
 }
 
-/// What lies on one side of a split, for each axis.
+/// The union box and reference count of the bins swept so far, for each axis.
 struct SideAccumulator {
     boxes: [SimdAabb; 3],
     counts: [i32; 4],
@@ -177,7 +191,7 @@ impl SideAccumulator {
         }
     }
 
-    /// Primitive count times half area, a lane an axis.
+    /// Reference count times scaled half area, one axis per lane.
     #[inline]
     fn costs(&self, scale: f32) -> Vec4 {
         let [x, y, z] = &self.boxes;
@@ -188,14 +202,14 @@ impl SideAccumulator {
     }
 }
 
-/// A plane between two bins.
+/// An object split: a plane between two bins of centres along one axis.
 #[derive(Clone)]
 pub(super) struct ObjectSplit {
     axis: usize,
-    /// The first bin to the right.
+    /// The first bin right of the plane.
     first_right_bin: usize,
     binning: BinMapping,
-    /// Primitive count times scaled half area, summed over both sides.
+    /// SAH cost without constants: reference count times scaled half area, summed over both sides.
     pub(super) cost: f32,
     pub(super) left_count: usize,
     pub(super) left_bounds: SimdAabb,
@@ -203,7 +217,7 @@ pub(super) struct ObjectSplit {
 }
 
 impl ObjectSplit {
-    /// Whether a reference with this doubled centre goes to the right.
+    /// Whether a reference with this doubled centre belongs to the right side.
     #[inline]
     pub(super) fn is_right(&self, doubled_center: Vec4) -> bool {
         let threshold = Vec4::splat(ROUNDING_OFFSET + self.first_right_bin as f32);

@@ -1,4 +1,4 @@
-//! The box of a part of a triangle.
+//! Clips a triangle at an axis-aligned plane and bounds both parts.
 
 use glam::Vec4;
 
@@ -6,20 +6,20 @@ use crate::accel::tree::SimdAabb;
 use crate::graph::Geometry;
 use crate::math::Aabb;
 
-/// A triangle to be cut.
+/// A triangle to be clipped, with the margin of the boxes of its parts.
 pub(super) struct TriangleClipper {
     corners: [Vec4; 3],
-    /// See [`cut`](Self::split_bounds).
+    /// By how much boxes are widened along each axis, see [`split_bounds`](Self::split_bounds).
     margin: Vec4,
 }
 
-/// Two boxes; one may be empty, with a least corner above the greatest one.
+/// The boxes of the two parts; an empty one has `min > max` on some axis.
 pub(super) struct ClippedBounds {
     pub(super) left: SimdAabb,
     pub(super) right: SimdAabb,
 }
 
-/// 2^-21.
+/// Relative margin of a clipped box: 2^-21.
 const CLIP_MARGIN: f32 = 1.0 / (1 << 21) as f32;
 
 impl TriangleClipper {
@@ -31,24 +31,29 @@ impl TriangleClipper {
         Self { corners, margin: (farthest + longest) * CLIP_MARGIN + f32::MIN_POSITIVE }
     }
 
-    /// The boxes around what lies on either side of a plane, of that part of the triangle that is in `bounds`.
+    /// Boxes around the parts of the triangle on either side of the plane, each intersected with `bounds`.
     ///
-    /// Both have a margin of 2^-21 of the triangle's longest side and of its corners' distances along each axis. It covers the
-    /// rounding here, half of that at most, and that of the kernel's proof (`trace::kernel::intersect`, point 3): there a ray
-    /// meets the triangle at a mean of its corners relative to the origin, rounded, which is off what is exact by 2^-24 of the
-    /// longest of these. Boxes around whole corners hold that by monotonic rounding, but those of parts do not; the part of it
-    /// that goes with the distance to the origin is in the slack of the box test.
+    /// Both are widened by 2^-21 times the sum of the triangle's longest side and, per axis, its largest absolute
+    /// coordinate. This covers the rounding of the intersection points here (at most half of it) and the rounding that
+    /// the proof of the traversal assumes (`trace::kernel::intersect`, point 3): the kernel meets the triangle at a
+    /// rounded weighted mean of its corners, which may be off by 2^-24 of the longest corner vector relative to the ray
+    /// origin. A box around whole corners contains such a point because rounding is monotonic; the box of a part need
+    /// not. The share of the error that grows with the distance to the ray origin is covered by the slack of the box
+    /// test.
     pub(super) fn split_bounds(&self, bounds: &SimdAabb, axis: usize, plane: f32) -> ClippedBounds {
         let [mut left, mut right] = [SimdAabb::EMPTY; 2];
         let [a, b, c] = self.corners;
+        // Walk the triangle's edges.
         for (from, to) in [(a, b), (b, c), (c, a)] {
             let (start, end) = (from[axis], to[axis]);
+            // A corner belongs to the side that it is on, and to both sides if it is in the plane.
             if start <= plane {
                 left = left.extended_to(from);
             }
             if start >= plane {
                 right = right.extended_to(from);
             }
+            // If the edge crosses the plane, the intersection belongs to both sides.
             if (start < plane && plane < end) || (end < plane && plane < start) {
                 let mut point = from + (to - from) * ((plane - start) / (end - start));
                 point[axis] = plane;
@@ -56,6 +61,7 @@ impl TriangleClipper {
                 right = right.extended_to(point);
             }
         }
+        // Widen by the margin, but stay inside the given box.
         ClippedBounds { left: self.within(left, bounds), right: self.within(right, bounds) }
     }
 
@@ -64,10 +70,11 @@ impl TriangleClipper {
     }
 }
 
-/// Whether triangles in this box can be cut: nothing overflows or vanishes.
+/// Whether triangles in this box can be clipped in f32 without overflow or underflow: all coordinates are below 1e18,
+/// and the longest side is above 1e-18.
 pub(super) fn can_clip(bounds: &Aabb) -> bool {
-    const FARTHEST: f32 = 1e18;
-    const SHORTEST: f32 = 1e-18;
-    let is_near = bounds.min.min_element() > -FARTHEST && bounds.max.max_element() < FARTHEST;
-    is_near && (bounds.max - bounds.min).max_element() > SHORTEST
+    const MAX_COORDINATE: f32 = 1e18;
+    const MIN_LONGEST_SIDE: f32 = 1e-18;
+    let is_near = bounds.min.min_element() > -MAX_COORDINATE && bounds.max.max_element() < MAX_COORDINATE;
+    is_near && (bounds.max - bounds.min).max_element() > MIN_LONGEST_SIDE
 }

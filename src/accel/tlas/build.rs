@@ -1,4 +1,4 @@
-//! From merged clusters to device nodes in depth-first order.
+//! Writes a clustered tree as top-level device nodes in depth-first order with escape indices.
 
 use super::cost::AreaSums;
 use super::leaf_table::LeafTable;
@@ -9,100 +9,108 @@ use crate::device::layout::{NONE, Node, PrimitiveRange};
 /// Subtrees of fewer leaves are flattened by one thread.
 const TASK_MINIMUM: u32 = 1 << 11;
 
-/// What was merged into what.
+/// The result of clustering: the sorted boxes and a record of each merge.
 pub(super) struct ClusterTree {
     order: MortonOrder,
-    links: Vec<MergedCluster>,
+    merges: Vec<MergedCluster>,
     root: Option<Member>,
 }
 
 /// A merged cluster.
 #[derive(Clone, Copy, bytemuck::Zeroable)]
 struct MergedCluster {
-    /// The places of single boxes; numbers of links with [`MERGED_BIT`] set.
+    /// A child that is a single box: its position in Morton order. A merged child: its index in `merges` with
+    /// [`MERGED_BIT`] set.
     children: [u32; 2],
     leaf_count: u32,
 }
 
-/// Numbers are below 2^29.
+/// Marks a merged child. Positions and indices are below 2^29.
 const MERGED_BIT: u32 = 1 << 31;
 
 impl MergeRecord for MergedCluster {
-    fn new(children: [Member; 2], links: &[Self], first: usize) -> Self {
+    fn new(children: [Member; 2], merges: &[Self], first: usize) -> Self {
         let leaves = |child: &Member| match child.kind {
             ClusterKind::Single(_) => 1,
-            ClusterKind::Merged(link) => links[link - first].leaf_count,
+            ClusterKind::Merged(merge) => merges[merge - first].leaf_count,
         };
         let leaf_count = children.iter().map(leaves).sum();
-        Self { children: children.map(MergedCluster::number), leaf_count }
+        Self { children: children.map(MergedCluster::encode), leaf_count }
     }
 }
 
 impl MergedCluster {
-    fn number(cluster: Member) -> u32 {
+    /// A cluster as [`children`](Self::children) has it.
+    fn encode(cluster: Member) -> u32 {
         match cluster.kind {
-            ClusterKind::Single(place) => place as u32,
-            ClusterKind::Merged(link) => link as u32 | MERGED_BIT,
+            ClusterKind::Single(position) => position as u32,
+            ClusterKind::Merged(merge) => merge as u32 | MERGED_BIT,
         }
     }
 }
 
 impl ClusterTree {
-    /// Of boxes in their order.
+    /// Clusters the boxes of an order.
     pub(super) fn new(order: MortonOrder) -> Self {
-        let mut links = bytemuck::zeroed_vec(order.len());
-        let root = agglomerative::build(&order, &mut links);
-        Self { order, links, root }
+        let mut merges = bytemuck::zeroed_vec(order.len());
+        let root = agglomerative::build(&order, &mut merges);
+        Self { order, merges, root }
     }
 
     pub(super) fn leaf_count(&self) -> usize {
         self.order.len()
     }
 
-    fn merged(&self, number: u32) -> Option<&MergedCluster> {
-        (number & MERGED_BIT != 0).then(|| &self.links[(number & !MERGED_BIT) as usize])
+    /// The record of a cluster that was merged; `None` for a single box.
+    fn merged(&self, cluster: u32) -> Option<&MergedCluster> {
+        (cluster & MERGED_BIT != 0).then(|| &self.merges[(cluster & !MERGED_BIT) as usize])
     }
 
-    fn leaf_count_below(&self, number: u32) -> u32 {
-        self.merged(number).map_or(1, |link| link.leaf_count)
+    fn leaf_count_below(&self, cluster: u32) -> u32 {
+        self.merged(cluster).map_or(1, |merged| merged.leaf_count)
     }
 }
 
-/// How many nodes `tree` gives with `room` unused leaves beside it.
-pub(super) fn node_count(tree: &ClusterTree, room: usize) -> usize {
-    (2 * tree.leaf_count()).saturating_sub(1) + 2 * room
+/// How many nodes the hierarchy of `tree` has with `reserved` unused leaves.
+pub(super) fn node_count(tree: &ClusterTree, reserved: usize) -> usize {
+    (2 * tree.leaf_count()).saturating_sub(1) + 2 * reserved
 }
 
-/// Writes nodes and their parents, and puts the instances in leaves. Unused leaves come first, in a subtree of their own: the
-/// last node is always in use.
+/// Writes all nodes and their parent indices, and enters the instances' leaves in `leaves`. Reserved leaves come first,
+/// in a balanced subtree of their own, so that the last node is always a used leaf. Returns the area sums.
 pub(super) fn flatten(
     tree: &ClusterTree,
-    room: usize,
+    reserved: usize,
     nodes: &mut [Node],
     parents: &mut [u32],
     leaves: &mut LeafTable,
 ) -> AreaSums {
-    let Some(root) = tree.root.map(MergedCluster::number) else { return AreaSums::default() };
-    let emitter = NodeWriter { tree, leaves };
-    if room == 0 {
-        let mut areas = emitter.emit(root, NodeLinks::ROOT, nodes, parents);
+    let Some(root) = tree.root.map(MergedCluster::encode) else { return AreaSums::default() };
+    let writer = NodeWriter { tree, leaves };
+    // 1. Without reserved leaves the tree is the whole array.
+    if reserved == 0 {
+        let mut areas = writer.write_subtree(root, NodeLinks::ROOT, nodes, parents);
         if nodes.len() == 1 {
             areas.add_node(&nodes[0]);
         }
         return areas;
     }
-    let [unused, used] = NodeLinks::ROOT.children(2 * room as u32 - 1);
-    let mut areas = emitter.emit(root, used, &mut nodes[used.index as usize..], &mut parents[used.index as usize..]);
-    areas.add_node(&nodes[used.index as usize]);
-    (nodes[0], parents[0]) = (Node { escape_index: NONE, ..nodes[used.index as usize] }, NONE);
+    // 2. With them, the root's first child is their subtree and its second child the tree.
+    let [unused, used] = NodeLinks::ROOT.children(2 * reserved as u32 - 1);
+    let tree_start = used.index as usize;
+    let mut areas = writer.write_subtree(root, used, &mut nodes[tree_start..], &mut parents[tree_start..]);
+    areas.add_node(&nodes[tree_start]);
+    // 3. The root has the box of the tree.
+    (nodes[0], parents[0]) = (Node { escape_index: NONE, ..nodes[tree_start] }, NONE);
     nodes[0].primitives = PrimitiveRange::INNER;
-    let mut free = Vec::with_capacity(room);
-    write_unused_subtree(room as u32, unused, nodes, parents, &mut free);
-    leaves.set_free(free);
+    // 4. Write the reserved leaves, and list them.
+    let mut unused_leaves = Vec::with_capacity(reserved);
+    write_unused_subtree(reserved as u32, unused, nodes, parents, &mut unused_leaves);
+    leaves.set_unused(unused_leaves);
     areas
 }
 
-/// Where a subtree goes.
+/// The index, parent and escape index of a subtree's root.
 #[derive(Clone, Copy)]
 struct NodeLinks {
     index: u32,
@@ -113,7 +121,7 @@ struct NodeLinks {
 impl NodeLinks {
     const ROOT: Self = Self { index: 0, parent: NONE, escape_index: NONE };
 
-    /// Where the children go, if the first has so many nodes.
+    /// The positions of the two children if the first child's subtree has `first_nodes` nodes.
     fn children(self, first_nodes: u32) -> [Self; 2] {
         let (first, second) = (self.index + 1, self.index + 1 + first_nodes);
         [
@@ -123,56 +131,69 @@ impl NodeLinks {
     }
 }
 
-/// What the threads share.
+/// Read-only state shared by all threads.
 struct NodeWriter<'a> {
     tree: &'a ClusterTree,
     leaves: &'a LeafTable,
 }
 
 impl NodeWriter<'_> {
-    /// Writes a subtree to the start of `nodes` and `parents`. Returns the areas of what is below its root. Recursion is as deep
-    /// as the tree.
-    fn emit(&self, cluster: u32, place: NodeLinks, nodes: &mut [Node], parents: &mut [u32]) -> AreaSums {
-        parents[0] = place.parent;
-        let Some(link) = self.tree.merged(cluster) else {
+    /// Writes a subtree to the start of `nodes` and `parents`. Returns the area sums of everything below its root.
+    /// Recursion is as deep as the tree.
+    fn write_subtree(&self, cluster: u32, links: NodeLinks, nodes: &mut [Node], parents: &mut [u32]) -> AreaSums {
+        parents[0] = links.parent;
+        // 1. A single box is a leaf: write it, and enter it in the table.
+        let Some(merged) = self.tree.merged(cluster) else {
             let single = &self.tree.order.leaf_clusters()[cluster as usize];
-            let (slot, bounds) = (single.box_index(), single.bounds());
-            self.leaves.assign(slot, place.index);
-            nodes[0] = instance_leaf(slot, &bounds, place.escape_index);
+            let (instance_index, bounds) = (single.box_index(), single.bounds());
+            self.leaves.assign(instance_index, links.index);
+            nodes[0] = instance_leaf(instance_index, &bounds, links.escape_index);
             return AreaSums::default();
         };
-        let first_nodes = 2 * self.tree.leaf_count_below(link.children[0]) - 1;
-        let [first, second] = place.children(first_nodes);
+        // 2. Divide the arrays between the children.
+        let first_nodes = 2 * self.tree.leaf_count_below(merged.children[0]) - 1;
+        let [first, second] = links.children(first_nodes);
         let (root, below) = nodes.split_at_mut(1);
-        let (first_slots, second_slots) = below.split_at_mut(first_nodes as usize);
+        let (first_subtree, second_subtree) = below.split_at_mut(first_nodes as usize);
         let (first_parents, second_parents) = parents[1..].split_at_mut(first_nodes as usize);
-        let mut emit_first = || self.emit(link.children[0], first, first_slots, first_parents);
-        let mut emit_second = || self.emit(link.children[1], second, second_slots, second_parents);
-        let (mut areas, second_areas) = if link.leaf_count >= TASK_MINIMUM {
-            rayon::join(emit_first, emit_second)
+        // 3. Write both, in parallel while they are large.
+        let mut write_first = || self.write_subtree(merged.children[0], first, first_subtree, first_parents);
+        let mut write_second = || self.write_subtree(merged.children[1], second, second_subtree, second_parents);
+        let (mut areas, second_areas) = if merged.leaf_count >= TASK_MINIMUM {
+            rayon::join(write_first, write_second)
         } else {
-            (emit_first(), emit_second())
+            (write_first(), write_second())
         };
+        // 4. Sum the areas.
         areas.add(second_areas);
-        areas.add_node(&first_slots[0]);
-        areas.add_node(&second_slots[0]);
-        root[0].escape_index = place.escape_index;
+        areas.add_node(&first_subtree[0]);
+        areas.add_node(&second_subtree[0]);
+        // 5. Write the inner node around its children.
+        root[0].escape_index = links.escape_index;
         root[0].primitives = PrimitiveRange::INNER;
-        root[0] = with_box_around(&root[0], &first_slots[0], &second_slots[0]);
+        root[0] = with_box_around(&root[0], &first_subtree[0], &second_subtree[0]);
         areas
     }
 }
 
-/// Writes a balanced subtree of unused leaves into the whole arrays and lists the leaves.
-fn write_unused_subtree(count: u32, place: NodeLinks, nodes: &mut [Node], parents: &mut [u32], free: &mut Vec<u32>) {
-    nodes[place.index as usize] = Node::unused_leaf(place.escape_index);
-    parents[place.index as usize] = place.parent;
+/// Writes a balanced subtree of `count` unused leaves into the whole arrays, and lists the leaves.
+fn write_unused_subtree(
+    count: u32,
+    links: NodeLinks,
+    nodes: &mut [Node],
+    parents: &mut [u32],
+    unused_leaves: &mut Vec<u32>,
+) {
+    nodes[links.index as usize] = Node::unused_leaf(links.escape_index);
+    parents[links.index as usize] = links.parent;
+    // One leaf: list it.
     if count == 1 {
-        free.push(place.index);
+        unused_leaves.push(links.index);
         return;
     }
+    // More: halve the count.
     let half = count.div_ceil(2);
-    let [first, second] = place.children(2 * half - 1);
-    write_unused_subtree(half, first, nodes, parents, free);
-    write_unused_subtree(count - half, second, nodes, parents, free);
+    let [first, second] = links.children(2 * half - 1);
+    write_unused_subtree(half, first, nodes, parents, unused_leaves);
+    write_unused_subtree(count - half, second, nodes, parents, unused_leaves);
 }

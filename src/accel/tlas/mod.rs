@@ -1,13 +1,15 @@
-//! The top level: a hierarchy over instances, in device world space, built once and then kept up with what changes.
+//! The top level: a BVH over instances in device world space, kept up to date by patching, refitting or rebuilding.
 //!
-//! [`Tlas`] knows where each instance's leaf is and how good the hierarchy still is, and picks the least update:
+//! [`Tlas`] knows each instance's leaf (`leaf_table`) and the SAH cost relative to the last build (`cost`), and
+//! `policy` chooses the cheapest sufficient update:
 //!
-//! - A few boxes changed: their leaves are patched, and of their ancestors those whose box changes (`bottom_up`).
-//! - Many changed: one pass over all nodes, children before parents (`bottom_up`).
-//! - The hierarchy has become bad, or has no room: a new one (`accel::cluster`, `flatten`).
+//! - Few boxes changed: patch their leaves and the ancestors whose boxes change (`patch`).
+//! - Many changed: refit all nodes in one bottom-up pass (`refit`).
+//! - The cost has grown too much, no unused leaf is left, or most leaves are unused: rebuild (`build`, by
+//!   `accel::build::agglomerative`).
 //!
-//! Instances come and go without a rebuild: a leaf that loses its instance stays as an [unused](Node::unused_leaf) one, and takes
-//! the next that comes (`leaves`). In a scene where that has happened, a rebuild leaves some room.
+//! Adding and removing an instance needs no rebuild: a removed instance leaves an [unused](Node::unused_leaf) leaf,
+//! which the next added instance takes. Once leaves have run out, rebuilds reserve some unused ones.
 
 mod build;
 mod cost;
@@ -16,29 +18,29 @@ mod node;
 mod patch;
 mod policy;
 mod refit;
+mod report;
 
 use std::collections::BinaryHeap;
-use std::fmt;
-
-use serde::Serialize;
 
 use self::cost::CostTracker;
 use self::leaf_table::LeafTable;
-pub use self::policy::RebuildReason;
-use self::policy::Step;
+use self::policy::Action;
+pub use self::report::{RebuildReason, TlasUpdate};
 use super::stats::BvhStats;
 use super::validate::{BvhError, validate_nodes};
-use crate::accel::build::agglomerative::{self, MortonOrder, clamp_to_f32};
+use crate::accel::build::agglomerative::{self, MortonOrder};
 use crate::device::DeviceBuffer;
 use crate::device::layout::{Node, PrimitiveRange};
 use crate::math::Aabb;
 
-/// A top-level structure: what it takes to keep an array of nodes up to date. A leaf holds one instance.
+/// The top-level acceleration structure: the bookkeeping that keeps an array of nodes up to date. A leaf holds one
+/// instance.
 ///
-/// Instances are numbered by *slot*, their index in the `instances` array of the device. Every call gets the boxes of all
-/// slots, in device world space, and the same `nodes`, which nobody else writes. A slot whose box is empty (or NaN) is in no
-/// leaf; slots beyond the slice are as empty. An infinite box is cut to the range of `f32`. A box must hold the instance with
-/// all rounding errors of its transform; rounding in traversal is taken care of here.
+/// An instance is identified by its index in the device's `instances` array. Every call gets the boxes of all
+/// instances, in device world space (relative to the render origin), and the same `nodes`, which nobody else may write.
+/// An instance whose box is empty or NaN gets no leaf, as does one beyond the slice. An infinite box is clamped to
+/// finite f32. A box must contain the instance including all rounding of its transform; rounding in traversal is
+/// covered by padding here.
 ///
 /// Memory: 64 bytes an instance in `nodes`, 12 here.
 ///
@@ -61,185 +63,151 @@ use crate::math::Aabb;
 #[derive(Debug, Default)]
 pub struct Tlas {
     leaves: LeafTable,
-    /// The parent of each node; `NONE` for the root.
+    /// The index of each node's parent; `NONE` for the root.
     parents: Vec<u32>,
     cost: CostTracker,
-    /// Inner nodes whose box may have changed. Empty between calls.
+    /// A max-heap of inner nodes whose boxes may be out of date; children have higher indices than their parents. Empty
+    /// between calls.
     stale_ancestors: BinaryHeap<u32>,
-    /// Whether instances have come that found no unused leaf: a rebuild then leaves some.
+    /// Whether rebuilds reserve unused leaves: set once an instance was added and no leaf was unused.
     has_run_out: bool,
 }
 
-/// What became of the hierarchy.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-#[non_exhaustive]
-pub enum TlasUpdate {
-    /// No box changed.
-    #[default]
-    Kept,
-    /// A few leaves changed, and those of their ancestors whose boxes did.
-    Patched {
-        /// Leaves that changed.
-        instances: usize,
-        /// Nodes that changed, leaves included.
-        nodes: usize,
-    },
-    /// All boxes were computed anew; which node lies where stayed.
-    Refitted {
-        /// Slots given as changed whose leaf changed or may have.
-        instances: usize,
-    },
-    /// The hierarchy was built anew.
-    Rebuilt(RebuildReason),
-}
-
-impl fmt::Display for TlasUpdate {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Kept => f.write_str("kept"),
-            Self::Patched { instances, nodes } => write!(f, "patched (instances: {instances}, nodes: {nodes})"),
-            Self::Refitted { instances } => write!(f, "refitted (instances: {instances})"),
-            Self::Rebuilt(RebuildReason::Empty) => f.write_str("built"),
-            Self::Rebuilt(RebuildReason::NoUnusedLeaf) => f.write_str("rebuilt (no room for new instances)"),
-            Self::Rebuilt(RebuildReason::Sparse) => f.write_str("rebuilt (half empty)"),
-            Self::Rebuilt(RebuildReason::Decayed) => f.write_str("rebuilt (decayed)"),
-        }
-    }
+/// What an update in place did, and what it decided in the end.
+struct Updated {
+    action: Action,
+    /// Leaves that changed or, in a refit, may have changed.
+    instances: usize,
+    /// Nodes that a patch changed, leaves included.
+    nodes: usize,
 }
 
 impl Tlas {
-    /// How much dearer a hierarchy may get than it was when built, before it is built anew. Measured as the sum of the areas of
-    /// all inner nodes below the root, and as the [cost](Self::sah_cost), whichever grew more.
-    pub const MAX_DECAY: f64 = policy::MAX_DECAY;
+    /// A hierarchy is rebuilt when its cost exceeds this multiple of its cost after the last build. The larger of two
+    /// ratios counts: that of the summed area of all inner nodes below the root, and that of the [SAH
+    /// cost](Self::sah_cost) without the share of the leaves.
+    pub const MAX_COST_RATIO: f64 = policy::MAX_COST_RATIO;
 
-    /// No hierarchy has more levels than this.
+    /// The most levels of a hierarchy that this type builds.
     pub const MAX_DEPTH: usize = agglomerative::MAX_CLUSTER_DEPTH + 1;
 
-    /// Builds the hierarchy anew, on all threads of the current rayon pool where there are many instances; the result does not
-    /// depend on the number of threads. O(n).
+    /// Builds a new hierarchy, on all threads of the current rayon pool if there are many instances; the result does
+    /// not depend on the number of threads. O(n log n), of which the logarithm is that of binary searches.
     ///
     /// # Panics
-    /// In debug builds, if there are 2^28 slots or more (34 GB of instances).
+    /// In debug builds, if there are 2^28 instances or more: a leaf stores the instance index in 28 bits.
     pub fn build(&mut self, nodes: &mut DeviceBuffer<Node>, boxes: &[Aabb]) {
         if boxes.len() < agglomerative::TASK_MINIMUM {
             self.build_here(nodes, boxes);
         } else {
-            // One entry into the pool, not one for each parallel loop.
+            // Enter the rayon pool once instead of once per parallel loop.
             rayon::scope(|_| self.build_here(nodes, boxes));
         }
         debug_assert_eq!(self.validate(nodes, boxes), Ok(()));
     }
 
     fn build_here(&mut self, nodes: &mut DeviceBuffer<Node>, boxes: &[Aabb]) {
-        // 1. Instances that are near each other in space become near each other in an array.
+        // 1. Sort the instances along a Morton curve.
         let order = MortonOrder::new(boxes);
-        // 2. Neighbours merge, until one cluster is left.
+        // 2. Merge neighbouring clusters until one is left.
         let tree = build::ClusterTree::new(order);
-        // 3. Device nodes.
-        let spare = policy::spare_leaves(tree.leaf_count(), self.has_run_out);
-        let len = build::node_count(&tree, spare);
+        // 3. Write device nodes in depth-first order, with reserved unused leaves if any.
+        let reserved = policy::reserved_leaf_count(tree.leaf_count(), self.has_run_out);
+        let len = build::node_count(&tree, reserved);
         self.parents = bytemuck::zeroed_vec(len);
         self.leaves.reset(boxes.len(), tree.leaf_count());
-        let sums = build::flatten(&tree, spare, nodes.resize_for_overwrite(len), &mut self.parents, &mut self.leaves);
+        let sums =
+            build::flatten(&tree, reserved, nodes.resize_for_overwrite(len), &mut self.parents, &mut self.leaves);
         self.cost = CostTracker::new(sums, nodes);
         self.stale_ancestors.clear();
     }
 
-    /// Brings the hierarchy up to date with `boxes`, of which those of the slots in `changed` may differ from the last call's:
-    /// in any order, also more than once, also ones that did not change.
+    /// Brings the hierarchy up to date with `boxes`. Only boxes of the instances in `changed` may differ from the last
+    /// call's; `changed` may be unordered, repeat instances and name instances that did not change.
     ///
-    /// O(c log n) for c changes where they are few, else O(n).
+    /// O(c log n) for few changes c (a patch), else O(n).
     pub fn update(&mut self, nodes: &mut DeviceBuffer<Node>, boxes: &[Aabb], changed: &[u32]) -> TlasUpdate {
-        let reason = match self.try_update(nodes, boxes, changed) {
-            Ok(update) => return update,
-            Err(reason) => reason,
-        };
-        self.has_run_out |= reason == RebuildReason::NoUnusedLeaf;
         let was_empty = nodes.is_empty();
-        self.build(nodes, boxes);
-        if was_empty && nodes.is_empty() { TlasUpdate::Kept } else { TlasUpdate::Rebuilt(reason) }
+        let Updated { action, instances, nodes: changed_nodes } = self.update_in_place(nodes, boxes, changed);
+        if let Action::Rebuild(reason) = action {
+            self.has_run_out |= reason == RebuildReason::NoUnusedLeaf;
+            self.build(nodes, boxes);
+        }
+        policy::report(action, was_empty && nodes.is_empty(), instances, changed_nodes)
     }
 
-    /// Patches or refits the hierarchy, as `policy` decides; the reason where it must be built anew.
-    fn try_update(
-        &mut self,
-        nodes: &mut DeviceBuffer<Node>,
-        boxes: &[Aabb],
-        changed: &[u32],
-    ) -> Result<TlasUpdate, RebuildReason> {
+    /// Patches or refits the hierarchy, as `policy` decides. If that decides for a rebuild, on the way or in the end,
+    /// the hierarchy is not up to date.
+    fn update_in_place(&mut self, nodes: &mut DeviceBuffer<Node>, boxes: &[Aabb], changed: &[u32]) -> Updated {
+        let mut updated = Updated { action: Action::Keep, instances: 0, nodes: 0 };
         self.leaves.resize(boxes.len());
-        let refits = match policy::step(self.leaves.used_count(), self.leaves.unused_count(), changed.len()) {
-            Step::Patch => false,
-            Step::Refit => true,
-            Step::Rebuild(reason) => return Err(reason),
-        };
-        // 1. Leaves: instances come and go, and boxes change.
-        let mut instances = 0;
-        for &slot in changed {
-            instances += usize::from(self.patch_leaf(nodes, boxes, slot, refits)?);
+        // 1. Choose between a patch and a refit.
+        updated.action = policy::choose_action(self.leaves.counts(), changed.len());
+        if let Action::Rebuild(_) = updated.action {
+            return updated;
         }
-        if instances == 0 {
-            return Ok(TlasUpdate::Kept);
-        }
-        policy::check_sparse(self.leaves.used_count(), self.leaves.unused_count())?;
-        // 2. Inner nodes.
-        let mut written = instances;
-        if refits {
-            let some_came_or_went = !self.stale_ancestors.is_empty();
-            self.stale_ancestors.clear();
-            let (areas, has_moved) = refit::refit(nodes, boxes);
-            self.cost.reset_sums(areas);
-            if !(some_came_or_went || has_moved) {
-                return Ok(TlasUpdate::Kept);
+        // 2. Update the leaves: instances appear and vanish, and boxes change.
+        let changed_leaves = self.update_leaves(nodes, boxes, changed, updated.action);
+        updated.action = policy::after_leaves(updated.action, self.leaves.counts(), changed_leaves);
+        updated.instances = changed_leaves.unwrap_or(0);
+        // 3. Update the inner nodes: the ancestors of changed leaves, or all.
+        let mut has_changed = true;
+        match updated.action {
+            Action::Keep | Action::Rebuild(_) => return updated,
+            Action::Patch => updated.nodes = updated.instances + self.patch_ancestors(nodes),
+            Action::Refit => {
+                let leaf_use_has_changed = !self.stale_ancestors.is_empty();
+                self.stale_ancestors.clear();
+                let (areas, box_has_changed) = refit::refit(nodes, boxes);
+                self.cost.reset_sums(areas);
+                has_changed = leaf_use_has_changed || box_has_changed;
             }
-        } else {
-            written += self.patch_ancestors(nodes);
         }
-        // 3. The last node must be in use: traversal ends at it.
-        written += self.fill_last_leaf(nodes);
-        self.cost.settle(nodes);
-        policy::check_decay(self.cost.decay(nodes))?;
-        Ok(match refits {
-            true => TlasUpdate::Refitted { instances },
-            false => TlasUpdate::Patched { instances, nodes: written },
-        })
+        // 4. Make the last node a used leaf, since traversal ends at the node whose escape index is `NONE`.
+        updated.nodes += self.fill_last_leaf(nodes);
+        // 5. Rebuild if the cost has grown too much.
+        self.cost.recompute_if_inexact(nodes);
+        updated.action = policy::after_boxes(updated.action, has_changed, self.cost.cost_ratio(nodes));
+        updated
     }
 
-    /// How many instances there are in the leaves.
+    /// How many instances are in the hierarchy.
     pub fn instance_count(&self) -> usize {
-        self.leaves.used_count()
+        self.leaves.counts().used
     }
 
-    /// The [cost](BvhStats::sah_cost) of the hierarchy in `nodes`, kept up with every update. O(1).
+    /// The [SAH cost](BvhStats::sah_cost) of the hierarchy in `nodes`, tracked incrementally. O(1).
     pub fn sah_cost(&self, nodes: &[Node]) -> f64 {
         self.cost.sah_cost(nodes)
     }
 
-    /// Sizes and quality of `nodes`, measured. O(n).
+    /// Measures the size and quality of `nodes`. O(n).
     pub fn stats(&self, nodes: &[Node]) -> BvhStats {
         BvhStats { bytes: size_of_val(nodes), ..BvhStats::of(nodes, 1.0) }
     }
 
-    /// Checks what traversal and the next update rely on: escape order, containment, every slot with a box in exactly one
-    /// leaf, and that leaf known. `boxes` as they were at the last call. O(n).
+    /// Checks the invariants that traversal and the next update rely on: escape indices, containment, every non-empty
+    /// box in exactly one leaf, and the leaf table in agreement. `boxes` must be those of the last call. O(n).
     ///
     /// # Errors
     /// The first [`BvhError`] found.
     pub fn validate(&self, nodes: &[Node], boxes: &[Aabb]) -> Result<(), BvhError> {
+        // 1. Check the nodes, and that no instance is in two leaves.
         let mut found = vec![false; boxes.len()];
         validate_nodes(nodes, |range| {
-            let bounds = boxes.get(range.first_primitive() as usize).and_then(clamp_to_f32)?;
+            let bounds = boxes.get(range.first_primitive() as usize).and_then(Aabb::clamped_to_finite)?;
             let is_new =
                 range.primitive_count() == 1 && !std::mem::replace(&mut found[range.first_primitive() as usize], true);
             is_new.then_some(bounds)
         })?;
-        for ((slot, found), bounds) in (0..).zip(found).zip(boxes) {
-            let leaf = self.leaves.leaf(slot);
-            let is_known = leaf.is_some_and(|leaf| nodes[leaf as usize].primitives == PrimitiveRange::leaf(slot, 1));
-            let expected = clamp_to_f32(bounds).is_some();
+        // 2. Check that every instance with a box is in a leaf, and that the leaf table agrees.
+        for ((instance_index, found), bounds) in (0..).zip(found).zip(boxes) {
+            let leaf = self.leaves.leaf(instance_index);
+            let own_range = PrimitiveRange::leaf(instance_index, 1);
+            let is_known = leaf.is_some_and(|leaf| nodes[leaf as usize].primitives == own_range);
+            let expected = !bounds.is_empty();
             if found != expected || is_known != expected {
-                return Err(BvhError::Missing { primitive: slot });
+                return Err(BvhError::Missing { primitive: instance_index });
             }
         }
         Ok(())

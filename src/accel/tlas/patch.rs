@@ -1,43 +1,64 @@
-//! Patches of the top level: single leaves, and those of their ancestors whose box changes.
+//! Patches of the top level: single leaves, and those of their ancestors whose boxes change.
 
+use super::Tlas;
 use super::node::{around_children, instance_leaf, with_box_around};
-use super::{RebuildReason, Tlas};
-use crate::accel::build::agglomerative::clamp_to_f32;
+use super::policy::Action;
 use crate::accel::stats::half_area;
 use crate::device::DeviceBuffer;
-use crate::device::layout::{NONE, Node, PrimitiveRange};
+use crate::device::layout::{NONE, Node};
 use crate::math::Aabb;
 
 impl Tlas {
-    /// Gives a slot a leaf if it needs one, takes it away if it does not, and writes its box, which a refit would do anyway.
-    /// Whether anything changed, as far as is known.
-    pub(super) fn patch_leaf(
+    /// Updates the leaves of the `changed` instances. Returns how many changed or, in a refit, may have changed; `None`
+    /// if an instance found no unused leaf.
+    pub(super) fn update_leaves(
         &mut self,
         nodes: &mut DeviceBuffer<Node>,
         boxes: &[Aabb],
-        slot: u32,
-        refits: bool,
-    ) -> Result<bool, RebuildReason> {
-        let bounds = boxes.get(slot as usize).and_then(clamp_to_f32);
-        let leaf = match (self.leaves.leaf(slot), bounds) {
-            (None, None) => return Ok(false),
-            (Some(_), Some(_)) if refits => return Ok(true),
+        changed: &[u32],
+        action: Action,
+    ) -> Option<usize> {
+        let mut count = 0;
+        for &instance_index in changed {
+            count += usize::from(self.update_leaf(nodes, boxes, instance_index, action)?);
+        }
+        Some(count)
+    }
+
+    /// Updates the leaf of one instance: allocates one for an instance that appeared, releases that of one that
+    /// vanished, and writes the box. In a refit the box is left to the refit. Returns whether the leaf changed; in a
+    /// refit, whether it may have. `None` if no leaf is unused.
+    fn update_leaf(
+        &mut self,
+        nodes: &mut DeviceBuffer<Node>,
+        boxes: &[Aabb],
+        instance_index: u32,
+        action: Action,
+    ) -> Option<bool> {
+        let bounds = boxes.get(instance_index as usize).and_then(Aabb::clamped_to_finite);
+        let leaf = match (self.leaves.leaf(instance_index), bounds) {
+            // Absent before and after.
+            (None, None) => return Some(false),
+            // Present before and after: the refit will write its box, or it is written below.
+            (Some(_), Some(_)) if action == Action::Refit => return Some(true),
             (Some(leaf), Some(_)) => leaf,
+            // Vanished: release its leaf.
             (Some(leaf), None) => {
-                self.leaves.release(slot, leaf);
+                self.leaves.release(instance_index, leaf);
                 leaf
             }
+            // Appeared: allocate a leaf.
             (None, Some(bounds)) => {
-                let growth = |leaf, most| area_growth(nodes, &self.parents, leaf, &bounds, most);
-                self.leaves.allocate(slot, growth).ok_or(RebuildReason::NoUnusedLeaf)?
+                let growth = |leaf, bound| area_growth(nodes, &self.parents, leaf, &bounds, bound);
+                self.leaves.allocate(instance_index, growth)?
             }
         };
         let escape_index = nodes[leaf as usize].escape_index;
-        let node = bounds.map_or(Node::unused_leaf(escape_index), |b| instance_leaf(slot, &b, escape_index));
-        Ok(self.write(nodes, leaf, node))
+        let node = bounds.map_or(Node::unused_leaf(escape_index), |b| instance_leaf(instance_index, &b, escape_index));
+        Some(self.write(nodes, leaf, node))
     }
 
-    /// Writes a node, and has its parent looked at. Whether it changed.
+    /// Writes a node and, if it changed, queues its parent for an update. Returns whether it changed.
     fn write(&mut self, nodes: &mut DeviceBuffer<Node>, index: u32, node: Node) -> bool {
         let old = nodes[index as usize];
         if old == node {
@@ -51,27 +72,32 @@ impl Tlas {
         true
     }
 
-    /// Brings the boxes of stale nodes up to date, children before parents: a parent has a lower index. Returns how many
-    /// changed.
+    /// Recomputes the boxes of queued ancestors, children first: the heap yields the highest index, and a parent has a
+    /// lower index than its children. Returns how many nodes changed.
     pub(super) fn patch_ancestors(&mut self, nodes: &mut DeviceBuffer<Node>) -> usize {
-        let mut written = 0;
+        let mut changed = 0;
         while let Some(index) = self.stale_ancestors.pop() {
+            // Of several entries for one node only the last counts.
             if self.stale_ancestors.peek() != Some(&index) {
                 let node = around_children(nodes, index as usize);
-                written += usize::from(self.write(nodes, index, node));
+                changed += usize::from(self.write(nodes, index, node));
             }
         }
-        written
+        changed
     }
 
-    /// Moves an instance to the last leaf if that is unused: the nearest in the array. O(log n). Returns how many nodes changed.
+    /// If the last leaf is unused, moves into it the used leaf with the next lower index. O(log n). Returns how many
+    /// nodes changed.
     pub(super) fn fill_last_leaf(&mut self, nodes: &mut DeviceBuffer<Node>) -> usize {
+        // 1. If the last leaf is used, there is nothing to do.
         let last = nodes.len() as u32 - 1;
         if !nodes[last as usize].is_empty() {
             return 0;
         }
+        // 2. Find the nearest used leaf.
         let from = last_used_leaf(nodes, &self.parents);
         let source = nodes[from as usize];
+        // 3. Exchange the two, and update the ancestors of both.
         self.leaves.relocate(source.primitives.first_primitive(), from, last);
         self.write(nodes, last, Node { escape_index: NONE, ..source });
         self.write(nodes, from, Node::unused_leaf(source.escape_index));
@@ -79,11 +105,12 @@ impl Tlas {
     }
 }
 
-/// By how much the areas of a leaf's ancestors grow if the leaf gets this box; stops counting at `most`.
-fn area_growth(nodes: &[Node], parents: &[u32], leaf: u32, bounds: &Aabb, most: f64) -> f64 {
+/// By how much the summed half area of a leaf's ancestors would grow if the leaf got this box. Stops once the sum
+/// reaches `bound`.
+fn area_growth(nodes: &[Node], parents: &[u32], leaf: u32, bounds: &Aabb, bound: f64) -> f64 {
     let leaf_node = instance_leaf(0, bounds, NONE);
     let (mut index, mut growth) = (parents[leaf as usize], 0.0);
-    while index != NONE && growth < most {
+    while index != NONE && growth < bound {
         let node = &nodes[index as usize];
         growth += half_area(&with_box_around(node, node, &leaf_node)) - half_area(node);
         index = parents[index as usize];
@@ -91,9 +118,9 @@ fn area_growth(nodes: &[Node], parents: &[u32], leaf: u32, bounds: &Aabb, most: 
     growth
 }
 
-/// The leaf in use with the greatest index; there must be one, and not the last.
+/// The used leaf with the highest index. The last node must be an unused leaf, and some leaf must be in use.
 fn last_used_leaf(nodes: &[Node], parents: &[u32]) -> u32 {
-    // 1. Up, to the first ancestor with something in its first child: the second is that which was come from.
+    // 1. Go up to the first ancestor whose first child is in use; the second child is the one that we came from.
     let mut index = nodes.len() as u32 - 1;
     loop {
         let parent = parents[index as usize];
@@ -102,11 +129,11 @@ fn last_used_leaf(nodes: &[Node], parents: &[u32]) -> u32 {
             break;
         }
     }
-    // 2. Down again.
+    // 2. Go down that first child, to the right wherever something there is in use.
     index += 1;
-    while nodes[index as usize].primitives == PrimitiveRange::INNER {
-        let second = nodes[index as usize + 1].escape_index;
-        index = if nodes[second as usize].is_empty() { index + 1 } else { second };
+    while !nodes[index as usize].is_leaf() {
+        let right = Node::right_child(nodes, index as usize);
+        index = if nodes[right].is_empty() { index + 1 } else { right as u32 };
     }
     index
 }

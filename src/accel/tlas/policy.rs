@@ -1,112 +1,188 @@
-//! What becomes of the top level when boxes have changed: the choices, and nothing else.
+//! The policy of the top level: whether an update keeps, patches, refits or rebuilds it. Decisions only.
 //!
-//! | what is so | what is done |
-//! |---|---|
-//! | there is no instance yet | a build ([`RebuildReason::Empty`]) |
-//! | few boxes changed | a patch of their leaves and of those leaves' ancestors |
-//! | more than 1 in 16 changed | a refit of all nodes |
-//! | an instance came and no leaf is unused | a rebuild ([`RebuildReason::NoUnusedLeaf`]), and from then on with spare leaves |
-//! | more leaves are unused than used | a rebuild ([`RebuildReason::Sparse`]) |
-//! | after the patch or refit the boxes have grown too much | a rebuild ([`RebuildReason::Decayed`]) |
-//! | no box turned out to differ | nothing |
+//! | decided by | condition, the first that holds | action |
+//! |---|---|---|
+//! | [`choose_action`] | no instance is in the hierarchy | rebuild ([`RebuildReason::Empty`]) |
+//! | | more than 1 in 16 leaves, plus 16, are listed as changed | refit |
+//! | | otherwise | patch |
+//! | [`after_leaves`] | an instance was added and no leaf was unused | rebuild ([`RebuildReason::NoUnusedLeaf`]) |
+//! | | no leaf changed | keep |
+//! | | more leaves are unused than used | rebuild ([`RebuildReason::Sparse`]) |
+//! | | otherwise | as chosen |
+//! | [`after_boxes`] | no box changed | keep |
+//! | | the cost has grown by more than half since the last build | rebuild ([`RebuildReason::CostGrown`]) |
+//! | | otherwise | as chosen |
+//!
+//! [`reserved_leaf_count`] decides how many unused leaves a rebuild leaves for instances that are added later, and
+//! [`report`] what the caller is told.
 
-use serde::Serialize;
+use super::report::{RebuildReason, TlasUpdate};
 
-/// How much the hierarchy's cost may grow, relative to when it was built, before it is built anew.
-pub(super) const MAX_DECAY: f64 = 1.5;
+/// A hierarchy is rebuilt when its cost exceeds this multiple of its cost after the last build (`docs/BENCHMARKS.md`).
+pub(super) const MAX_COST_RATIO: f64 = 1.5;
 
-/// One change in so many leaves is worth a patch; where more change, a refit of all nodes takes less time.
-const LEAVES_PER_PATCH: usize = 16;
+/// Patching is chosen if at most one leaf in this many, plus this many, changed: beyond that a refit is faster.
+const LEAVES_PER_PATCHED_LEAF: usize = 16;
 
-/// How changed boxes are brought into the hierarchy.
+/// How the hierarchy is brought up to date.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Step {
-    /// Each changed leaf, and of its ancestors those whose box changes.
+pub(super) enum Action {
+    /// It is up to date.
+    Keep,
+    /// Rewrite the changed leaves, and those of their ancestors whose boxes change.
     Patch,
-    /// All nodes, children before parents.
+    /// Recompute all boxes, children before parents.
     Refit,
+    /// Build a new hierarchy.
     Rebuild(RebuildReason),
 }
 
-/// Why the hierarchy was built anew.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-#[non_exhaustive]
-pub enum RebuildReason {
-    /// There was nothing in it before.
-    Empty,
-    /// More instances came than there were unused leaves.
-    NoUnusedLeaf,
-    /// More than half of the leaves were unused.
-    Sparse,
-    /// Instances have moved so far that the nodes' boxes had grown past [`Tlas::MAX_DECAY`](super::Tlas::MAX_DECAY).
-    Decayed,
+/// The leaves of a hierarchy.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct LeafCounts {
+    /// Leaves that hold an instance.
+    pub(super) used: usize,
+    /// Leaves that hold none.
+    pub(super) unused: usize,
 }
 
-/// How to take in `changed` boxes, where so many leaves are used and unused.
-pub(super) fn step(used_leaves: usize, unused_leaves: usize, changed: usize) -> Step {
-    if used_leaves == 0 {
-        Step::Rebuild(RebuildReason::Empty)
-    } else if changed > (used_leaves + unused_leaves) / LEAVES_PER_PATCH + LEAVES_PER_PATCH {
-        Step::Refit
+/// Chooses an action before anything is written. `changed` is the length of the list of changed instances: repeated and
+/// unchanged ones count too, since they cost little to patch.
+pub(super) fn choose_action(leaves: LeafCounts, changed: usize) -> Action {
+    if leaves.used == 0 {
+        Action::Rebuild(RebuildReason::Empty)
+    } else if changed > (leaves.used + leaves.unused) / LEAVES_PER_PATCHED_LEAF + LEAVES_PER_PATCHED_LEAF {
+        Action::Refit
     } else {
-        Step::Patch
+        Action::Patch
     }
 }
 
-/// Whether a hierarchy whose leaves are up to date is too sparse to be kept.
-pub(super) fn check_sparse(used_leaves: usize, unused_leaves: usize) -> Result<(), RebuildReason> {
-    if unused_leaves > used_leaves { Err(RebuildReason::Sparse) } else { Ok(()) }
+/// Decides again after the leaves were updated, `changed_leaves` of which changed or, in a refit, may have changed.
+/// `None` if an instance found no unused leaf.
+pub(super) fn after_leaves(chosen: Action, leaves: LeafCounts, changed_leaves: Option<usize>) -> Action {
+    match changed_leaves {
+        None => Action::Rebuild(RebuildReason::NoUnusedLeaf),
+        Some(0) => Action::Keep,
+        Some(_) if leaves.unused > leaves.used => Action::Rebuild(RebuildReason::Sparse),
+        Some(_) => chosen,
+    }
 }
 
-/// Whether a hierarchy that is up to date costs too much to be kept; `decay` is its cost relative to when it was built.
-pub(super) fn check_decay(decay: f64) -> Result<(), RebuildReason> {
-    if decay > MAX_DECAY { Err(RebuildReason::Decayed) } else { Ok(()) }
+/// Decides again after all boxes are up to date. `cost_ratio` is the cost relative to that after the last build.
+pub(super) fn after_boxes(chosen: Action, has_changed: bool, cost_ratio: f64) -> Action {
+    if !has_changed {
+        Action::Keep
+    } else if cost_ratio > MAX_COST_RATIO {
+        Action::Rebuild(RebuildReason::CostGrown)
+    } else {
+        chosen
+    }
 }
 
-/// How many unused leaves to build beside those of `instance_count` instances, in a scene where instances have come that found
-/// no leaf (`has_run_out`). None in other scenes: most never get another instance.
-pub(super) fn spare_leaves(instance_count: usize, has_run_out: bool) -> usize {
-    if has_run_out { (instance_count / 64).max((instance_count / 4).min(8)) } else { 0 }
+/// How many unused leaves a rebuild reserves beside `used` ones: 1/64 of them, but 8 (at most a quarter) in small
+/// scenes. None in a scene whose leaves have never run out (`has_run_out`): most scenes never get another instance.
+pub(super) fn reserved_leaf_count(used: usize, has_run_out: bool) -> usize {
+    if has_run_out { (used / 64).max((used / 4).min(8)) } else { 0 }
+}
+
+/// What is reported of an update that changed so many instances and nodes. A rebuild of an empty hierarchy into an
+/// empty one (`stays_empty`) changes nothing.
+pub(super) fn report(action: Action, stays_empty: bool, instances: usize, nodes: usize) -> TlasUpdate {
+    match action {
+        Action::Keep => TlasUpdate::Kept,
+        Action::Rebuild(_) if stays_empty => TlasUpdate::Kept,
+        Action::Patch => TlasUpdate::Patched { instances, nodes },
+        Action::Refit => TlasUpdate::Refitted { instances },
+        Action::Rebuild(reason) => TlasUpdate::Rebuilt(reason),
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    const EMPTY: Action = Action::Rebuild(RebuildReason::Empty);
+    const NO_UNUSED_LEAF: Action = Action::Rebuild(RebuildReason::NoUnusedLeaf);
+    const SPARSE: Action = Action::Rebuild(RebuildReason::Sparse);
+    const COST_GROWN: Action = Action::Rebuild(RebuildReason::CostGrown);
+
     #[test]
     fn few_changes_are_patched_many_refitted() {
         let table = [
             // used, unused, changed
-            (0, 0, 1, Step::Rebuild(RebuildReason::Empty)),
-            (0, 8, 1, Step::Rebuild(RebuildReason::Empty)),
-            (1, 0, 0, Step::Patch),
-            (1, 0, 16, Step::Patch),
-            (1, 0, 17, Step::Refit),
-            (1_600, 0, 116, Step::Patch),
-            (1_600, 0, 117, Step::Refit),
-            (800, 800, 116, Step::Patch),
-            (800, 800, 117, Step::Refit),
+            (0, 0, 1, EMPTY),
+            (0, 8, 1, EMPTY),
+            (0, 0, 0, EMPTY),
+            (1, 0, 0, Action::Patch),
+            (1, 0, 16, Action::Patch),
+            (1, 0, 17, Action::Refit),
+            (1_600, 0, 116, Action::Patch),
+            (1_600, 0, 117, Action::Refit),
+            (800, 800, 116, Action::Patch),
+            (800, 800, 117, Action::Refit),
         ];
         for (used, unused, changed, expected) in table {
-            assert_eq!(step(used, unused, changed), expected, "{used} used, {unused} unused, {changed} changed");
+            let action = choose_action(LeafCounts { used, unused }, changed);
+            assert_eq!(action, expected, "{used} used, {unused} unused, {changed} changed");
         }
     }
 
     #[test]
-    fn what_is_half_empty_or_has_decayed_is_rebuilt() {
-        assert_eq!(check_sparse(4, 4), Ok(()));
-        assert_eq!(check_sparse(4, 5), Err(RebuildReason::Sparse));
-        assert_eq!(check_decay(MAX_DECAY), Ok(()));
-        assert_eq!(check_decay(MAX_DECAY.next_up()), Err(RebuildReason::Decayed));
+    fn leaves_decide_whether_the_hierarchy_stays() {
+        let table = [
+            // used, unused, changed leaves
+            (4, 0, None, NO_UNUSED_LEAF),
+            (4, 0, Some(0), Action::Keep),
+            (4, 5, Some(0), Action::Keep),
+            (4, 4, Some(1), Action::Patch),
+            (4, 5, Some(1), SPARSE),
+            (0, 1, Some(1), SPARSE),
+        ];
+        for (used, unused, changed, expected) in table {
+            let action = after_leaves(Action::Patch, LeafCounts { used, unused }, changed);
+            assert_eq!(action, expected, "{used} used, {unused} unused, {changed:?} changed");
+        }
+        let leaves = LeafCounts { used: 4, unused: 4 };
+        assert_eq!(after_leaves(Action::Refit, leaves, Some(1)), Action::Refit);
     }
 
     #[test]
-    fn leaves_are_spared_where_they_have_run_out() {
-        let table = [(0, 0), (3, 0), (4, 1), (31, 7), (32, 8), (512, 8), (576, 9), (64_000, 1_000)];
-        for (instances, spare) in table {
-            assert_eq!(spare_leaves(instances, true), spare, "{instances}");
-            assert_eq!(spare_leaves(instances, false), 0, "{instances}");
+    fn boxes_decide_whether_the_hierarchy_stays() {
+        let table = [
+            // has changed, cost ratio
+            (false, 9.0, Action::Keep),
+            (true, 1.0, Action::Refit),
+            (true, MAX_COST_RATIO, Action::Refit),
+            (true, MAX_COST_RATIO.next_up(), COST_GROWN),
+        ];
+        for (has_changed, cost_ratio, expected) in table {
+            assert_eq!(after_boxes(Action::Refit, has_changed, cost_ratio), expected, "{has_changed}, {cost_ratio}");
+        }
+        assert_eq!(after_boxes(Action::Patch, true, 1.0), Action::Patch);
+    }
+
+    #[test]
+    fn leaves_are_reserved_where_they_have_run_out() {
+        let table = [(0, 0), (3, 0), (4, 1), (31, 7), (32, 8), (511, 8), (512, 8), (513, 8), (576, 9), (64_000, 1_000)];
+        for (used, reserved) in table {
+            assert_eq!(reserved_leaf_count(used, true), reserved, "{used}");
+            assert_eq!(reserved_leaf_count(used, false), 0, "{used}");
+        }
+    }
+
+    #[test]
+    fn reports_name_what_was_done() {
+        let table = [
+            (Action::Keep, false, TlasUpdate::Kept),
+            (Action::Patch, false, TlasUpdate::Patched { instances: 2, nodes: 5 }),
+            (Action::Refit, false, TlasUpdate::Refitted { instances: 2 }),
+            (SPARSE, false, TlasUpdate::Rebuilt(RebuildReason::Sparse)),
+            (EMPTY, false, TlasUpdate::Rebuilt(RebuildReason::Empty)),
+            (EMPTY, true, TlasUpdate::Kept),
+        ];
+        for (action, stays_empty, expected) in table {
+            assert_eq!(report(action, stays_empty, 2, 5), expected, "{action:?}, {stays_empty}");
         }
     }
 }

@@ -55,16 +55,16 @@ pub(super) fn traverse_blas(
             let slot = usize::from(first_of[waiting as usize & 255]) & 7;
             waiting &= !(1 << slot);
             let child = node.children[slot];
-            let may_be_fewer = if child.primitive_count() > 0 {
-                walker.visit_leaf(node, depth, slot, child)
-            } else if let Some(may_be_fewer) = walker.inner(node, depth, slot, child.first_primitive()) {
+            let may_be_fewer = if child.is_leaf() {
+                walker.visit_leaf(node, depth, slot, child.triangles())
+            } else if let Some(may_be_fewer) = walker.inner(node, depth, slot, child.node_index()) {
                 may_be_fewer
             } else {
                 if waiting != 0 {
                     stack[depth] = (index, waiting);
                     depth += 1;
                 }
-                break child.first_primitive();
+                break child.node_index();
             };
             if may_be_fewer {
                 waiting = walker.cull_beyond_t_max(waiting, depth);

@@ -106,7 +106,7 @@ pub(super) fn grid_step<S: Simd>(simd: S, node: &WideNode) -> [f32x16<S>; 3] {
 /// A bit for each child that a node has.
 #[inline(always)]
 pub(super) fn used_slots(node: &WideNode) -> u32 {
-    u32::from(node.exponents[3])
+    u32::from(node.child_mask())
 }
 
 /// What boxes must reach of a ray: its start in the lower lanes, its end, negated, in the upper ones. The greatest of these and of

@@ -9,7 +9,7 @@ use super::packet_traversal::SINGLE_RAY_THRESHOLD;
 use super::ray_packet::{RayPacket, reciprocals, slab_test};
 use super::simd::{F32Lanes, lanes_of, load, map_axes};
 use crate::accel::Tlas;
-use crate::device::layout::{Node, PrimitiveRange, RayRecord};
+use crate::device::layout::{Node, RayRecord};
 use crate::trace::kernel::{KernelScene, intersects_box, slab_ray};
 
 /// Visits the instances below the node of index `root` whose boxes the ray meets no farther than `t_max`, which `visit` returns anew.
@@ -118,10 +118,10 @@ impl<S: Simd> PacketSlabTest<S> {
 #[inline(always)]
 fn traverse_tlas(nodes: &[Node], root: u32, direction: Vec3, mut visit: impl FnMut(u32, &Node, Option<u32>) -> bool) {
     // A hierarchy of nothing is absent or zero.
-    if nodes.first().is_none_or(|node| node.escape_index == 0) {
+    if nodes.first().is_none_or(Node::is_empty_root) {
         return;
     }
-    if nodes[0].primitives != PrimitiveRange::INNER {
+    if nodes[0].is_leaf() {
         visit(0, &nodes[0], Some(nodes[0].primitives.first_primitive()));
         return;
     }
@@ -138,7 +138,7 @@ fn traverse_tlas(nodes: &[Node], root: u32, direction: Vec3, mut visit: impl FnM
             stack[waiting]
         };
         let node = &nodes[index as usize];
-        let is_leaf = node.primitives != PrimitiveRange::INNER;
+        let is_leaf = node.is_leaf();
         let opens =
             visit(index, node, is_leaf.then(|| node.primitives.first_primitive())) && !is_leaf && !node.is_empty();
         let left = index + 1;
@@ -147,7 +147,7 @@ fn traverse_tlas(nodes: &[Node], root: u32, direction: Vec3, mut visit: impl FnM
         } else if opens && waiting + 2 > stack.len() {
             rope = left..node.escape_index;
         } else if opens {
-            let right = nodes[left as usize].escape_index;
+            let right = Node::right_child(nodes, index as usize) as u32;
             let from_left = center(&nodes[right as usize]) - center(&nodes[left as usize]);
             let [near, far] = if from_left.dot(direction) < 0.0 { [right, left] } else { [left, right] };
             stack[waiting] = far;

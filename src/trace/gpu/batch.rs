@@ -96,7 +96,7 @@ impl BatchBuffers {
         let mut answers = Vec::with_capacity(rays.len());
         for rays in rays.chunks(self.capacity) {
             let count = rays.len() as u32;
-            let params = RayBatch { count, ray_mask, first: 0, _pad: 0 };
+            let params = RayBatch::new(0, count, ray_mask);
             context.queue.write_buffer(&self.params, 0, bytemuck::bytes_of(&params));
             context.queue.write_buffer(&self.rays, 0, bytemuck::cast_slice(rays));
             let bytes = size_of::<T>() as u64 * u64::from(count);
@@ -158,12 +158,7 @@ impl RayBuffers<'_> {
         for first in (0..self.count).step_by(RAYS_PER_DISPATCH) {
             let count = (self.count - first).min(RAYS_PER_DISPATCH as u32);
             dispatches.push((contents.len() as u32, count));
-            contents.extend_from_slice(bytemuck::bytes_of(&RayBatch {
-                count,
-                ray_mask: self.ray_mask,
-                first,
-                _pad: 0,
-            }));
+            contents.extend_from_slice(bytemuck::bytes_of(&RayBatch::new(first, count, self.ray_mask)));
             contents.resize(contents.len().next_multiple_of(stride), 0);
         }
         let params = context.device.create_buffer_init(&wgpu::util::BufferInitDescriptor {

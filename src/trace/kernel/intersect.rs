@@ -240,7 +240,7 @@ mod tests {
     use super::*;
 
     fn triangle([v0, v1, v2]: [Vec3; 3]) -> Triangle {
-        Triangle { v0: v0.to_array(), primitive: 0, v1: v1.to_array(), _pad0: 0, v2: v2.to_array(), _pad1: 0 }
+        Triangle::new([v0, v1, v2].map(|v| v.to_array()), 0)
     }
 
     /// Directions to the neighbours of a cell, in each of which the winding must come out right.

@@ -71,7 +71,7 @@ impl<C: TraversalCounter> LeafTraversal for RopeTraversal<C> {
             self.counter.boxes(1);
             if !intersects_box(&self.place.level_ray, self.place.t_min, t_max, node) {
                 self.node_index = node.escape_index;
-            } else if node.primitives == PrimitiveRange::INNER {
+            } else if !node.is_leaf() {
                 self.node_index += 1;
             } else {
                 self.node_index = node.escape_index;

@@ -81,7 +81,7 @@ impl TraversalRay {
 /// The first node of the top level, or [`NONE`]: a hierarchy of nothing is absent or zero, and no escape index leads back to
 /// node 0.
 pub(super) fn tlas_root(tlas_nodes: &[Node]) -> u32 {
-    let is_empty = tlas_nodes.first().is_none_or(|node| node.escape_index == 0);
+    let is_empty = tlas_nodes.first().is_none_or(Node::is_empty_root);
     if is_empty { NONE } else { 0 }
 }
 

@@ -302,7 +302,7 @@ mod tests {
         arrays.blas_nodes.replace(&[node(PrimitiveRange::leaf(0, count))]);
         let at = |z: f32| {
             let [v0, v1, v2] = [[-1.0, -1.0, z], [3.0, -1.0, z], [-1.0, 3.0, z]];
-            Triangle { v0, primitive: z as u32, v1, _pad0: 0, v2, _pad1: 0 }
+            Triangle::new([v0, v1, v2], z as u32)
         };
         arrays.triangles.replace(&(0..count).map(|i| at(i as f32)).collect::<Vec<_>>());
         let identity = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];

@@ -121,7 +121,7 @@ impl<C: TraversalCounter> WideTraversal<C> {
         self.counter.boxes(1);
         if !intersects_box(&self.place.level_ray, self.place.t_min, t_max, node) {
             self.tlas_next = node.escape_index;
-        } else if node.primitives == PrimitiveRange::INNER {
+        } else if !node.is_leaf() {
             self.tlas_next += 1;
         } else {
             self.tlas_next = node.escape_index;
@@ -199,7 +199,7 @@ impl<C: TraversalCounter> WideTraversal<C> {
         let node = &scene.wide_nodes[(self.first_node + index) as usize];
         self.counter.node();
         self.counter.read(node);
-        self.counter.boxes(u32::from(node.exponents[3]).count_ones());
+        self.counter.boxes(node.child_mask().count_ones());
         let offset = Vec3::from_array(node.origin) - self.place.level_ray.origin;
         let nears = child_entry_distances(
             node,
@@ -212,7 +212,7 @@ impl<C: TraversalCounter> WideTraversal<C> {
         let mut met = 0;
         let mut near = f32::MAX;
         for (slot, begins) in nears.into_iter().enumerate() {
-            if begins != NO_ENTRY && node.exponents[3] >> slot & 1 != 0 {
+            if begins != NO_ENTRY && node.child_mask() >> slot & 1 != 0 {
                 met |= 1 << slot;
                 near = min(near, begins);
             }
@@ -242,8 +242,8 @@ impl<C: TraversalCounter> WideTraversal<C> {
         let slot = self.pending_children.trailing_zeros() ^ self.octant;
         self.pending_children &= self.pending_children - 1;
         let child = scene.wide_nodes[(self.first_node + self.wide_node_index) as usize].children[slot as usize];
-        if child.primitive_count() > 0 {
-            return Some(child);
+        if child.is_leaf() {
+            return Some(child.triangles());
         }
         if self.pending_children != 0 {
             self.stack[self.stack_size as usize] = (
@@ -252,7 +252,7 @@ impl<C: TraversalCounter> WideTraversal<C> {
             );
             self.stack_size += 1;
         }
-        self.visit_wide_node(scene, child.first_primitive(), t_max);
+        self.visit_wide_node(scene, child.node_index(), t_max);
         None
     }
 }
@@ -282,7 +282,7 @@ impl<C: TraversalCounter> LeafTraversal for WideTraversal<C> {
 
 /// A node of the top level as [`WideTraversal::tlas_next`] has those that are met.
 fn encode_tlas_entry(index: u32, node: &Node) -> u32 {
-    if node.primitives == PrimitiveRange::INNER { index } else { node.primitives.first_primitive() | TLAS_LEAF_BIT }
+    if node.is_leaf() { node.primitives.first_primitive() | TLAS_LEAF_BIT } else { index }
 }
 
 /// The largest coordinate in a node's grid.
@@ -294,8 +294,7 @@ pub(crate) fn grid_extent(node: &WideNode) -> f32 {
 
 /// The lengths of a node's steps.
 fn grid_step(node: &WideNode) -> Vec3 {
-    let [x, y, z, _] = node.exponents.map(|exponent| f32::from_bits(u32::from(exponent) << 23));
-    Vec3::new(x, y, z)
+    Vec3::from_array(node.grid_step())
 }
 
 /// Where the ray enters each child's box, rounded down; [`NO_ENTRY`] where it does not.

@@ -1,5 +1,6 @@
 //! Device arrays of meshes under transforms.
 
+use bytemuck::Zeroable as _;
 use glam::{DAffine3, DMat3, Vec3};
 use ropewalk::accel::{Blas, BlasBuildParams};
 use ropewalk::device::DeviceArrays;
@@ -52,7 +53,9 @@ pub fn arrays_by(builder: Builder, meshes: &[Mesh], placed: &[Placed]) -> Device
     let (mut starts, mut streams) = (Vec::new(), Vec::new());
     for mesh in meshes {
         starts.push((nodes.len() as u32, triangles.len() as u32));
-        streams.push(GeometryRecord { first_wide_node: wide_nodes.len() as u32, ..NO_STREAMS });
+        let mut record = GeometryRecord::EMPTY;
+        record.first_wide_node = wide_nodes.len() as u32;
+        streams.push(record);
         let blas = match builder {
             Builder::Median => median_blas(mesh),
             Builder::Product => product_blas(mesh),
@@ -77,17 +80,6 @@ pub fn arrays_by(builder: Builder, meshes: &[Mesh], placed: &[Placed]) -> Device
     arrays
 }
 
-/// A geometry that has nothing but its triangles.
-const NO_STREAMS: GeometryRecord = GeometryRecord {
-    first_index: NONE,
-    first_normal: NONE,
-    first_tex_coord_0: NONE,
-    first_tex_coord_1: NONE,
-    first_color: NONE,
-    first_wide_node: NONE,
-    _pad: [0; 2],
-};
-
 /// A bottom level; without wide nodes, where it is only walked along escape indices.
 struct Parts {
     nodes: Vec<Node>,
@@ -97,23 +89,18 @@ struct Parts {
 
 /// Matt, opaque, without textures.
 fn gray() -> MaterialRecord {
-    MaterialRecord {
-        base_color: [0.5, 0.5, 0.5, 1.0],
-        emissive: [0.0; 3],
-        metallic: 0.0,
-        roughness: 1.0,
-        transmission: 0.0,
-        ior: 1.5,
-        alpha_cutoff: 0.5,
-        flags: 0,
-        base_color_texture: NONE,
-        metallic_roughness_texture: NONE,
-        emissive_texture: NONE,
-        transmission_texture: NONE,
-        normal_texture: NONE,
-        normal_scale: 1.0,
-        _pad: 0,
-    }
+    let mut material = MaterialRecord::zeroed();
+    material.base_color = [0.5, 0.5, 0.5, 1.0];
+    material.roughness = 1.0;
+    material.ior = 1.5;
+    material.alpha_cutoff = 0.5;
+    material.base_color_texture = NONE;
+    material.metallic_roughness_texture = NONE;
+    material.emissive_texture = NONE;
+    material.transmission_texture = NONE;
+    material.normal_texture = NONE;
+    material.normal_scale = 1.0;
+    material
 }
 
 fn median_blas(mesh: &Mesh) -> Parts {
@@ -130,7 +117,7 @@ fn product_blas(mesh: &Mesh) -> Parts {
 }
 
 fn triangle(primitive: u32, [v0, v1, v2]: [Vec3; 3]) -> Triangle {
-    Triangle { v0: v0.to_array(), primitive, v1: v1.to_array(), _pad0: 0, v2: v2.to_array(), _pad1: 0 }
+    Triangle::new([v0, v1, v2].map(|v| v.to_array()), primitive)
 }
 
 fn instance(placed: &Placed, (first_node, first_triangle): (u32, u32)) -> InstanceRecord {

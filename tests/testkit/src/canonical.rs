@@ -110,14 +110,12 @@ fn canonical_instance(arrays: &DeviceArrays, instance: &InstanceRecord, leaf: &N
     // Whether triangles repeat is a matter of the structure.
     let flags = if exact { instance.flags } else { instance.flags & !InstanceFlags::HAS_DUPLICATES.bits() };
     let record = InstanceRecord { first_node: 0, first_triangle: 0, geometry: 0, material: 0, flags, ..*instance };
-    let material = MaterialRecord {
-        base_color_texture: 0,
-        metallic_roughness_texture: 0,
-        emissive_texture: 0,
-        transmission_texture: 0,
-        normal_texture: 0,
-        ..material
-    };
+    let mut material = material;
+    material.base_color_texture = 0;
+    material.metallic_roughness_texture = 0;
+    material.emissive_texture = 0;
+    material.transmission_texture = 0;
+    material.normal_texture = 0;
     CanonicalInstance {
         record: bytes(&[record]),
         bounds: if exact { bytes(&[leaf.min, leaf.max]) } else { Vec::new() },
@@ -194,19 +192,19 @@ fn wide_leaves<'a>(nodes: &[WideNode], triangles: &'a [Triangle]) -> Vec<Leaf<'a
     let mut leaves = Vec::new();
     while let Some((index, above)) = open.pop() {
         let node: WideNode = nodes[index];
-        for slot in (0..8).filter(|slot| node.exponents[3] >> slot & 1 != 0) {
+        for slot in (0..8).filter(|slot| node.child_mask() >> slot & 1 != 0) {
             let plane = |axis: usize, side: usize| {
                 let step = f64::from(f32::from_bits(u32::from(node.exponents[axis]) << 23));
                 f64::from(node.origin[axis]) + f64::from(node.planes[axis][side][slot]) * step
             };
             let [min, max] = [0, 1].map(|side| DVec3::from([0, 1, 2].map(|axis| plane(axis, side))));
             let around: Vec<_> = above.iter().copied().chain([(min, max)]).collect();
-            let (first, count) =
-                (node.children[slot].first_primitive() as usize, node.children[slot].primitive_count() as usize);
-            if count == 0 {
-                open.push((first, around));
+            let child = node.children[slot];
+            if child.is_leaf() {
+                let (first, count) = (child.triangles().first_primitive(), child.triangles().primitive_count());
+                leaves.push((around, &triangles[first as usize..][..count as usize]));
             } else {
-                leaves.push((around, &triangles[first..first + count]));
+                open.push((child.node_index() as usize, around));
             }
         }
     }

@@ -30,7 +30,8 @@ fn panes(structure: BlasKind, flags: InstanceFlags) -> DeviceArrays {
     arrays.instances.replace(&[instance]);
     arrays.blas_nodes.replace(&blas.nodes);
     arrays.wide_nodes.replace(&blas.wide_nodes);
-    let streams = GeometryRecord { first_wide_node: 0, ..arrays.geometries[0] };
+    let mut streams = arrays.geometries[0];
+    streams.first_wide_node = 0;
     arrays.geometries.replace(&[streams]);
     arrays.triangles.replace(&blas.triangles);
     let mut leaf = arrays.tlas_nodes[0];
@@ -40,13 +41,10 @@ fn panes(structure: BlasKind, flags: InstanceFlags) -> DeviceArrays {
     material.base_color = [0.9, 0.8, 0.7, 0.1];
     material.flags = MaterialFlags::BLEND.bits();
     arrays.materials.replace(&[material]);
-    let light = LightRecord {
-        kind: LIGHT_DIRECTIONAL,
-        direction: [0.0, -0.6, -0.8],
-        color: [5.0; 3],
-        ..bytemuck::Zeroable::zeroed()
-    };
-    arrays.lights.replace(&[LightRecord { range: f32::MAX, ..light }]);
+    let mut light: LightRecord = bytemuck::Zeroable::zeroed();
+    (light.kind, light.direction, light.color) = (LIGHT_DIRECTIONAL, [0.0, -0.6, -0.8], [5.0; 3]);
+    light.range = f32::MAX;
+    arrays.lights.replace(&[light]);
     arrays
 }
 

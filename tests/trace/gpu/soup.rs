@@ -16,35 +16,22 @@ const SCALE: f32 = 0.2;
 /// The same in local space, and a little more.
 const PADDED: f32 = 1.01;
 
-/// A geometry that has nothing but its triangles.
-const NO_STREAMS: GeometryRecord = GeometryRecord {
-    first_index: NONE,
-    first_normal: NONE,
-    first_tex_coord_0: NONE,
-    first_tex_coord_1: NONE,
-    first_color: NONE,
-    first_wide_node: NONE,
-    _pad: [0; 2],
-};
-
 /// What all instances are made of.
-const GREY: MaterialRecord = MaterialRecord {
-    base_color: [0.5, 0.5, 0.5, 1.0],
-    emissive: [0.1, 0.0, 0.0],
-    metallic: 0.0,
-    roughness: 1.0,
-    transmission: 0.0,
-    ior: 1.5,
-    alpha_cutoff: 0.5,
-    flags: 0,
-    base_color_texture: NONE,
-    metallic_roughness_texture: NONE,
-    emissive_texture: NONE,
-    transmission_texture: NONE,
-    normal_texture: NONE,
-    normal_scale: 1.0,
-    _pad: 0,
-};
+fn grey() -> MaterialRecord {
+    let mut material = MaterialRecord::zeroed();
+    material.base_color = [0.5, 0.5, 0.5, 1.0];
+    material.emissive = [0.1, 0.0, 0.0];
+    material.roughness = 1.0;
+    material.ior = 1.5;
+    material.alpha_cutoff = 0.5;
+    material.base_color_texture = NONE;
+    material.metallic_roughness_texture = NONE;
+    material.emissive_texture = NONE;
+    material.transmission_texture = NONE;
+    material.normal_texture = NONE;
+    material.normal_scale = 1.0;
+    material
+}
 
 /// `instances` moved copies of four random triangles, each with its own four.
 pub(crate) fn soup(instances: usize, random: &mut Random) -> DeviceArrays {
@@ -80,8 +67,8 @@ pub(crate) fn set_instance(arrays: &mut DeviceArrays, i: usize, random: &mut Ran
         flags: 0,
         node_key: [i as u32, 1],
     };
-    let triangles = [0; TRIANGLES_A_LEAF].map(|_| random_triangle(random));
-    let triangles: Vec<_> = (0..).zip(triangles).map(|(primitive, t)| Triangle { primitive, ..t }).collect();
+    let triangles: Vec<Triangle> =
+        (0..TRIANGLES_A_LEAF as u32).map(|primitive| random_triangle(primitive, random)).collect();
     let leaf = Node {
         min: [-PADDED; 3],
         escape_index: NONE,
@@ -91,8 +78,8 @@ pub(crate) fn set_instance(arrays: &mut DeviceArrays, i: usize, random: &mut Ran
     arrays.instances.write(i, &[instance]);
     arrays.triangles.write(i * TRIANGLES_A_LEAF, &triangles);
     arrays.blas_nodes.write(i, &[leaf]);
-    arrays.geometries.write(0, &[NO_STREAMS]);
-    arrays.materials.write(0, &[GREY]);
+    arrays.geometries.write(0, &[GeometryRecord::EMPTY]);
+    arrays.materials.write(0, &[grey()]);
 }
 
 /// Makes the top level: a leaf for each instance, one after the other.
@@ -124,24 +111,23 @@ pub(crate) fn rays(count: usize, random: &mut Random) -> Vec<RayRecord> {
 
 /// A camera that sees all of the soup, before a blue sky.
 pub(crate) fn params(width: u32, height: u32) -> FrameParams {
-    FrameParams {
-        eye: [0.0, 0.0, 4.0],
-        width,
-        right: [0.45 * width as f32 / height.max(1) as f32, 0.0, 0.0],
-        height,
-        up: [0.0, 0.45, 0.0],
-        max_depth: 3,
-        forward: [0.0, 0.0, -1.0],
-        ray_mask: u32::MAX,
-        sky_up: [0.0, 1.0, 0.0],
-        sky_zenith: [0.2, 0.4, 1.0],
-        sky_horizon: [0.8, 0.9, 1.0],
-        sky_ground: [0.3, 0.2, 0.1],
-        ..FrameParams::zeroed()
-    }
+    let mut params = FrameParams::zeroed();
+    params.eye = [0.0, 0.0, 4.0];
+    params.width = width;
+    params.right = [0.45 * width as f32 / height.max(1) as f32, 0.0, 0.0];
+    params.height = height;
+    params.up = [0.0, 0.45, 0.0];
+    params.max_depth = 3;
+    params.forward = [0.0, 0.0, -1.0];
+    params.ray_mask = u32::MAX;
+    params.sky_up = [0.0, 1.0, 0.0];
+    params.sky_zenith = [0.2, 0.4, 1.0];
+    params.sky_horizon = [0.8, 0.9, 1.0];
+    params.sky_ground = [0.3, 0.2, 0.1];
+    params
 }
 
-fn random_triangle(random: &mut Random) -> Triangle {
-    let [v0, v1, v2] = [random.in_cube().to_array(), random.in_cube().to_array(), random.in_cube().to_array()];
-    Triangle { v0, primitive: 0, v1, _pad0: 0, v2, _pad1: 0 }
+fn random_triangle(primitive: u32, random: &mut Random) -> Triangle {
+    let corners = [random.in_cube().to_array(), random.in_cube().to_array(), random.in_cube().to_array()];
+    Triangle::new(corners, primitive)
 }

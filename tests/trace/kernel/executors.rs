@@ -6,39 +6,40 @@ use bytemuck::Zeroable as _;
 use glam::DAffine3;
 use ropewalk::Error;
 use ropewalk::device::Needs;
-use ropewalk::device::layout::{FrameParams, LIGHT_DIRECTIONAL, LightRecord, MaterialRecord};
+use ropewalk::device::layout::{FrameParams, LIGHT_DIRECTIONAL, LightRecord};
 use ropewalk::image::Image;
 use ropewalk::trace::{Cpu, Emulated, FrameRequest, Recursive, Tracer};
 use ropewalk_testkit::{Mesh, Placed, arrays};
 
 /// A frame seen from z = 4 towards the origin, under a white sky.
 fn request(width: u32, height: u32, aovs: bool) -> FrameRequest {
-    let params = FrameParams {
-        eye: [0.0, 0.0, 4.0],
-        width,
-        right: [0.5, 0.0, 0.0],
-        height,
-        up: [0.0, 0.5, 0.0],
-        max_depth: 3,
-        forward: [0.0, 0.0, -1.0],
-        sky_zenith: [1.0; 3],
-        sky_horizon: [1.0; 3],
-        sky_ground: [1.0; 3],
-        sky_up: [0.0, 1.0, 0.0],
-        ray_mask: 1,
-        ..FrameParams::zeroed()
-    };
+    let mut params = FrameParams::zeroed();
+    params.eye = [0.0, 0.0, 4.0];
+    params.width = width;
+    params.right = [0.5, 0.0, 0.0];
+    params.height = height;
+    params.up = [0.0, 0.5, 0.0];
+    params.max_depth = 3;
+    params.forward = [0.0, 0.0, -1.0];
+    params.sky_zenith = [1.0; 3];
+    params.sky_horizon = [1.0; 3];
+    params.sky_ground = [1.0; 3];
+    params.sky_up = [0.0, 1.0, 0.0];
+    params.ray_mask = 1;
     FrameRequest { params, needs: Needs::empty(), aovs }
 }
 
 fn sun(direction: [f32; 3]) -> LightRecord {
-    LightRecord { kind: LIGHT_DIRECTIONAL, direction, color: [1.0; 3], ..LightRecord::zeroed() }
+    let mut light = LightRecord::zeroed();
+    (light.kind, light.direction, light.color) = (LIGHT_DIRECTIONAL, direction, [1.0; 3]);
+    light
 }
 
 /// Of a bumpy ball, half glass, under a light from above.
 fn images(request: &FrameRequest) -> [Image; 3] {
     let mut arrays = arrays(&[Mesh::displaced_icosphere(3)], &[Placed::new(0, DAffine3::IDENTITY)]);
-    let glass = MaterialRecord { transmission: 0.5, roughness: 0.0, ..arrays.materials[0] };
+    let mut glass = arrays.materials[0];
+    (glass.transmission, glass.roughness) = (0.5, 0.0);
     arrays.materials.replace(&[glass]);
     arrays.lights.replace(&[sun([0.0, -1.0, 0.0])]);
     let mut tracers: [Box<dyn Tracer>; 3] =

@@ -1,28 +1,31 @@
-//! The fast builder: clusters of boxes that are near each other, as a build tree.
+//! The bottom level's use of clustering: a build tree over triangles.
 
 use rayon::prelude::*;
 
-use super::{Cluster, ClusterKind, Member, MergeRecord, MortonOrder, build};
+use super::cluster::{Cluster, ClusterKind, Member};
+use super::clustering::{MergeRecord, build};
+use super::morton::MortonOrder;
 use crate::accel::tree::{BuildNode, BuildTree, PrimitiveReference};
 use crate::math::Aabb;
 
-/// Builds a tree over references, with one in each leaf. O(n log n).
+/// Builds a tree with one reference in each leaf; pruning merges leaves where that is cheaper. O(n log n).
 pub(in crate::accel) fn build_tree(references: &[PrimitiveReference]) -> BuildTree {
-    // 1. What is near in space becomes near in an array.
+    // 1. Sort the boxes along a Morton curve.
     let boxes: Vec<Aabb> = references.par_iter().with_min_len(CHUNK).map(|r| r.bounds().aabb()).collect();
     let order = MortonOrder::new(&boxes);
-    // 2. Neighbours merge until one cluster is left.
+    // 2. Merge neighbours until one cluster is left; each merge writes its two children as a pair of build nodes.
     let mut nodes: Vec<BuildNode> = bytemuck::zeroed_vec(1 + 2 * order.len());
     match build::<[BuildNode; 2]>(&order, bytemuck::cast_slice_mut(&mut nodes[1..])) {
         Some(root) => nodes[0] = build_node(root),
         None => nodes.clear(),
     }
+    // 3. List the primitives in Morton order, in which leaves refer to them.
     let primitive = |cluster: &Cluster| references[cluster.box_index() as usize].primitive();
-    let order = order.leaf_clusters().par_iter().with_min_len(CHUNK).map(primitive).collect();
-    BuildTree { nodes, primitive_indices: order, has_duplicates: false }
+    let primitive_indices = order.leaf_clusters().par_iter().with_min_len(CHUNK).map(primitive).collect();
+    BuildTree { nodes, primitive_indices, has_duplicates: false }
 }
 
-/// References that one thread takes at a time.
+/// References per parallel chunk.
 const CHUNK: usize = 1 << 12;
 
 impl MergeRecord for [BuildNode; 2] {
@@ -33,7 +36,7 @@ impl MergeRecord for [BuildNode; 2] {
 
 fn build_node(cluster: Member) -> BuildNode {
     match cluster.kind {
-        ClusterKind::Single(place) => BuildNode::leaf(&cluster.bounds, place, 1),
-        ClusterKind::Merged(joint) => BuildNode::inner(&cluster.bounds, 1 + 2 * joint),
+        ClusterKind::Single(position) => BuildNode::leaf(&cluster.bounds, position, 1),
+        ClusterKind::Merged(merge) => BuildNode::inner(&cluster.bounds, 1 + 2 * merge),
     }
 }

@@ -9,7 +9,7 @@ const DIGIT_COUNT: usize = 1 << DIGIT_BITS;
 /// Fewer keys than this are sorted by comparison.
 const RADIX_SORT_THRESHOLD: usize = 1 << 14;
 
-/// The array is cut into so many chunks, whatever the number of threads.
+/// The keys are processed in this many chunks whatever the number of threads, so that the order of equal keys is fixed.
 const CHUNK_COUNT: usize = 16;
 
 /// Sorts by the bits from `first_bit` on; keys that agree in them keep their order. O(n).
@@ -26,9 +26,11 @@ pub(super) fn sort(keys: &mut Vec<u64>, first_bit: u32) {
     }
 }
 
-/// Writes the keys to `target`, sorted by one digit. Does not if that is the same for all; whether it did.
+/// One pass of a least-significant-digit radix sort: writes the keys to `target` sorted by one digit, unless all keys
+/// have the same digit. Returns whether it wrote.
 fn sort_by_digit(keys: &[u64], mut target: &mut [u64], shift: u32) -> bool {
     let digit = |key: u64| (key >> shift) as usize % DIGIT_COUNT;
+    // 1. Count the digits of each chunk.
     let chunk_len = keys.len().div_ceil(CHUNK_COUNT).max(1);
     let count = |chunk: &[u64]| {
         let mut counts = [0_usize; DIGIT_COUNT];
@@ -36,16 +38,18 @@ fn sort_by_digit(keys: &[u64], mut target: &mut [u64], shift: u32) -> bool {
         counts
     };
     let counts: Vec<[usize; DIGIT_COUNT]> = keys.par_chunks(chunk_len).map(count).collect();
+    // 2. If all keys have the same digit, the pass has nothing to do.
     if keys.first().is_none_or(|&key| counts.iter().map(|c| c[digit(key)]).sum::<usize>() == keys.len()) {
         return false;
     }
-    // Where each chunk puts its keys with each digit.
+    // 3. Divide the target: for each digit, one piece for each chunk, in this order.
     let mut pieces: Vec<Vec<&mut [u64]>> = counts.iter().map(|_| Vec::with_capacity(DIGIT_COUNT)).collect();
     for digit in 0..DIGIT_COUNT {
         for (counts, pieces) in counts.iter().zip(&mut pieces) {
             pieces.push(target.split_off_mut(..counts[digit]).unwrap_or_default());
         }
     }
+    // 4. Scatter the chunks in parallel, each into its own pieces.
     keys.par_chunks(chunk_len).zip(pieces).for_each(|(chunk, mut pieces)| {
         let mut next = [0; DIGIT_COUNT];
         for &key in chunk {
