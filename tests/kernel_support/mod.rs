@@ -29,7 +29,7 @@ pub fn tracers() -> Vec<Box<dyn Tracer>> {
 
 #[cfg(feature = "gpu")]
 fn on_gpu(layout: Traversal) -> Option<Box<dyn Tracer>> {
-    Some(Box::new(gpu::tracer()?.with_layout(layout)))
+    Some(Box::new(gpu::tracer()?.with_traversal(layout)))
 }
 
 #[cfg(not(feature = "gpu"))]
