@@ -42,15 +42,8 @@ pub(super) fn traverse_single_rays<S: Simd, Q: PacketQuery>(
         #[inline(always)]
         || {
             for lane in lanes_of(lanes) {
-                traverse_single_ray(
-                    simd,
-                    root,
-                    scratch,
-                    geometry,
-                    rays,
-                    lane,
-                    &mut QueryLane { answers: queries, lane },
-                );
+                let query = &mut QueryLane { answers: queries, lane };
+                traverse_single_ray(simd, root, scratch, geometry, rays, lane, query);
             }
         },
     );
@@ -71,14 +64,8 @@ pub(super) fn intersect_leaf_single_rays<S: Simd, Q: PacketQuery>(
         #[inline(always)]
         || {
             for lane in lanes_of(lanes) {
-                intersect_leaf(
-                    simd,
-                    geometry,
-                    rays,
-                    lane % LANES,
-                    triangles,
-                    &mut QueryLane { answers: queries, lane },
-                );
+                let query = &mut QueryLane { answers: queries, lane };
+                intersect_leaf(simd, geometry, rays, lane % LANES, triangles, query);
             }
         },
     );
