@@ -24,7 +24,7 @@ pub fn open(options: &Options) -> Result<GpuTracer> {
 }
 
 fn open_among(adapters: AdapterKinds) -> ropewalk::Result<GpuTracer> {
-    GpuTracer::new(&GpuOptions { adapters, ..GpuOptions::default() })
+    GpuTracer::new(&GpuOptions::default().with_adapters(adapters))
 }
 
 /// What tables call its executor: "gpu", or "software renderer".
@@ -64,7 +64,7 @@ impl Gpu {
     /// # Errors
     /// There is none, or the scene is too large for it.
     pub fn new(options: &Options, arrays: &mut DeviceArrays, layout: Traversal) -> Result<Self> {
-        let mut tracer = open(options)?.with_layout(layout);
+        let mut tracer = open(options)?.with_traversal(layout);
         tracer.upload(arrays)?;
         Ok(Self(RefCell::new(tracer)))
     }
@@ -134,7 +134,7 @@ impl Resident<'_> {
     fn trace(&self) -> Result<Duration> {
         let mut tracer = self.tracer.borrow_mut();
         let mut encoder = tracer.wgpu_device().create_command_encoder(&Default::default());
-        let buffers = RayBuffers { rays: &self.rays, results: &self.answers, count: self.count, ray_mask: NONE };
+        let buffers = RayBuffers::new(&self.rays, &self.answers, self.count).with_ray_mask(NONE);
         self.stamp(&mut encoder, 0);
         if self.kind.is_any_hit() {
             tracer.record_any_hits(&mut encoder, &buffers)?;

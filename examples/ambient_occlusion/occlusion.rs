@@ -64,7 +64,7 @@ impl Occlusion {
         // 2. Compile the shader, in which the scene is bind group 1. A program that does this every frame keeps the
         //    pipeline while the include stays equal.
         let device = gpu.wgpu_device().clone();
-        let include = gpu.include(1, needs | Needs::CULLING, true);
+        let include = gpu.include(needs | Needs::CULLING).in_group(1).with_surfaces();
         let bytes = u64::from(params.width) * u64::from(params.height) * 4;
         let shader = device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some("occlusion"),

@@ -110,7 +110,7 @@ impl ActiveTracer {
 #[cfg(feature = "gpu")]
 fn open_gpu(choice: DeviceChoice) -> Result<Box<dyn Tracer>> {
     let adapters = if choice == DeviceChoice::Gpu { AdapterKinds::IncludingSoftware } else { AdapterKinds::Hardware };
-    Ok(Box::new(GpuTracer::new(&GpuOptions { adapters, ..GpuOptions::default() })?))
+    Ok(Box::new(GpuTracer::new(&GpuOptions::default().with_adapters(adapters))?))
 }
 
 #[cfg(not(feature = "gpu"))]

@@ -34,9 +34,10 @@ fn every_kernel_is_valid_whatever_is_needed() {
     let one_more_or_less = all.iter().flat_map(|flag| [flag, all - flag]);
     for needs in [Needs::empty(), all].into_iter().chain(one_more_or_less) {
         for entry in EntryPoint::ALL {
-            let splits = ArraySplits { nodes: ArraySplit::new(20, 10), triangles: ArraySplit::new(40, 10) };
-            parse(entry, KernelVariant { needs, traversal: Walked::Rope, splits });
-            parse(entry, KernelVariant { needs, traversal: Walked::Rope, ..KernelVariant::default() });
+            let splits =
+                ArraySplits::default().with_nodes(ArraySplit::new(20, 10)).with_triangles(ArraySplit::new(40, 10));
+            parse(entry, KernelVariant::from(needs).with_traversal(Walked::Rope).with_splits(splits));
+            parse(entry, KernelVariant::from(needs).with_traversal(Walked::Rope));
             let module = parse(entry, needs);
             assert!(module.entry_points.iter().any(|e| e.name == entry.name()), "{entry:?} is in its module");
         }
@@ -47,16 +48,18 @@ fn every_kernel_is_valid_whatever_is_needed() {
 fn includes() -> impl Iterator<Item = Include> {
     let all = Needs::all();
     let needs = [Needs::empty(), all].into_iter().chain(all.iter().flat_map(move |flag| [flag, all - flag]));
-    let split = ArraySplits { nodes: ArraySplit::new(20, 10), triangles: ArraySplit::new(40, 10) };
+    let split = ArraySplits::default().with_nodes(ArraySplit::new(20, 10)).with_triangles(ArraySplit::new(40, 10));
     let bound = [
         (Walked::Rope, split),
         (Walked::Rope, ArraySplits::default()),
         (Walked::Wide, split),
         (Walked::Wide, ArraySplits::default()),
     ];
-    let variants =
-        needs.flat_map(move |needs| bound.map(|(layout, splits)| KernelVariant { needs, traversal: layout, splits }));
-    variants.flat_map(|variant| [false, true].map(|surfaces| Include { group: 3, surfaces, variant }))
+    let variants = needs.flat_map(move |needs| {
+        bound.map(|(layout, splits)| KernelVariant::from(needs).with_traversal(layout).with_splits(splits))
+    });
+    let includes = variants.map(|variant| Include::new(variant).in_group(3));
+    includes.flat_map(|include| [include, include.with_surfaces()])
 }
 
 #[test]

@@ -154,7 +154,7 @@ fn gpus<'a>(
     ];
     let mut executors = Vec::new();
     for (how, layout, walks_paper, clock) in entries {
-        let mut tracer = gpu::open(options)?.with_layout(layout);
+        let mut tracer = gpu::open(options)?.with_traversal(layout);
         tracer.upload(if walks_paper { &mut *paper } else { scene.compiler.arrays_mut() })?;
         let features = tracer.wgpu_device().features();
         if clock == Clock::Gpu && !features.contains(wgpu::Features::TIMESTAMP_QUERY) {

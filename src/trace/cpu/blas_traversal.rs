@@ -1,93 +1,120 @@
-//! The way through a bottom-level structure, for one ray and for several that go together: children nearest first, with a stack.
+//! Ordered traversal of a BLAS's wide nodes with a stack, shared by packet and single-ray traversal. Order: by the
+//! ray's direction octant.
 
 use crate::accel::MAX_WIDE_DEPTH;
 use crate::device::layout::{PrimitiveRange, WideNode};
 
-/// What goes through a structure.
+/// The node and leaf tests of a traversal.
 pub(super) trait NodeVisitor {
-    /// The slots of a node's children that are met. `depth` is less than [`MAX_NODE_DEPTH`].
+    /// Intersects the eight children of a node; returns a bit per slot that is hit and keeps the entry distances for
+    /// `depth`, which is less than [`MAX_NODE_DEPTH`].
     fn intersect_children(&mut self, node: &WideNode, depth: usize) -> u32;
 
-    /// Those of these children that are still met: they are of the node that was met last at that depth.
+    /// Of `slots`, children of the last node intersected at `depth`, those whose entry distance is still within
+    /// `t_max`.
     fn cull_beyond_t_max(&self, slots: u32, depth: usize) -> u32;
 
-    /// Asked before it goes down to a child, the node of that index, in that slot of the node that was met last at that depth:
-    /// `None` to do so, or that the child is done with, and whether there may be fewer that are still met.
-    fn inner(&mut self, node: &WideNode, depth: usize, slot: usize, child: u32) -> Option<bool>;
+    /// Called before descending into the inner node of index `child`, at `slot` of the last node intersected at
+    /// `depth`, which is `node`.
+    fn enter_child(&mut self, node: &WideNode, depth: usize, slot: usize, child: u32) -> ChildVisit;
 
-    /// Tests the triangles of a leaf in that slot of the node that was met last at that depth; says whether there may be fewer that are still
-    /// met.
+    /// Intersects the triangles of the leaf at `slot` of the last node intersected at `depth`, which is `node`; returns
+    /// whether `t_max` may have shrunk.
     fn visit_leaf(&mut self, node: &WideNode, depth: usize, slot: usize, triangles: PrimitiveRange) -> bool;
 }
 
-/// Nodes that are visited at a time.
+/// What becomes of an inner node that a traversal has reached.
+#[derive(Clone, Copy)]
+pub(super) enum ChildVisit {
+    /// The traversal descends into it.
+    Descend,
+    /// The visitor has handled its whole subtree.
+    Done {
+        /// Whether `t_max` may have shrunk.
+        t_max_shortened: bool,
+    },
+}
+
+/// Greatest number of nodes on a path from the root: the depth of the per-level arrays.
 pub(super) const MAX_NODE_DEPTH: usize = MAX_WIDE_DEPTH + 1;
 
-/// The nodes above, and a bit for each of their children that are still to be visited. Kept from ray to ray, so that nothing clears it.
+/// Stack entries: index of an ancestor and a bit for each of its children still to be visited. Reused without clearing;
+/// each entry is written before it is read.
 pub(super) type Stack = [(u32, u32); MAX_NODE_DEPTH];
 
-/// Visits leaves from the node of index `root` on. `octant` has a bit for each axis that the rays go down.
+/// Visits the leaves below `root` in front-to-back order of `octant` (bit i set: the direction is negative along axis
+/// i).
 #[inline(always)]
 pub(super) fn traverse_blas(
     nodes: &[WideNode],
     root: u32,
     octant: usize,
     stack: &mut Stack,
-    walker: &mut impl NodeVisitor,
+    visitor: &mut impl NodeVisitor,
 ) {
-    let first_of = &NEAREST_SLOT[octant & 7];
+    let nearest_slots = &NEAREST_SLOT[octant & 7];
     let mut depth = 0;
     let mut index = root;
     loop {
+        // Intersect the children of the current node.
         let mut node = &nodes[index as usize];
-        let mut waiting = walker.intersect_children(node, depth);
-        // The next inner node, through the leaves on the way.
+        let mut pending_slots = visitor.intersect_children(node, depth);
+        // Visit pending children until one must be descended into.
         index = loop {
-            while waiting == 0 {
+            // Pop the nearest ancestor with pending children, dropping those beyond t_max.
+            while pending_slots == 0 {
                 if depth == 0 {
                     return;
                 }
                 depth -= 1;
-                (index, waiting) = stack[depth];
-                waiting = walker.cull_beyond_t_max(waiting, depth);
+                (index, pending_slots) = stack[depth];
+                pending_slots = visitor.cull_beyond_t_max(pending_slots, depth);
                 node = &nodes[index as usize];
             }
-            let slot = usize::from(first_of[waiting as usize & 255]) & 7;
-            waiting &= !(1 << slot);
+            // Take the pending child nearest in octant order.
+            let slot = usize::from(nearest_slots[pending_slots as usize & 255]) & 7;
+            pending_slots &= !(1 << slot);
             let child = node.children[slot];
-            let may_be_fewer = if child.is_leaf() {
-                walker.visit_leaf(node, depth, slot, child.triangles())
-            } else if let Some(may_be_fewer) = walker.inner(node, depth, slot, child.node_index()) {
-                may_be_fewer
+            let t_max_shortened = if child.is_leaf() {
+                // Leaf: intersect its triangles.
+                visitor.visit_leaf(node, depth, slot, child.triangles())
+            } else if let ChildVisit::Done { t_max_shortened } =
+                visitor.enter_child(node, depth, slot, child.node_index())
+            {
+                // Inner node whose subtree the visitor has handled itself, by single rays.
+                t_max_shortened
             } else {
-                if waiting != 0 {
-                    stack[depth] = (index, waiting);
+                // Otherwise push the siblings and descend.
+                if pending_slots != 0 {
+                    stack[depth] = (index, pending_slots);
                     depth += 1;
                 }
                 break child.node_index();
             };
-            if may_be_fewer {
-                waiting = walker.cull_beyond_t_max(waiting, depth);
+            // t_max may have shrunk: cull pending siblings.
+            if t_max_shortened {
+                pending_slots = visitor.cull_beyond_t_max(pending_slots, depth);
             }
         };
     }
 }
 
-/// For each octant of a ray's direction and each set of children the slot of the first to be visited: the least `slot ^ octant`.
+/// `NEAREST_SLOT[octant][slots]`: the slot of the set `slots` with the least `slot ^ octant` (Ylitie et al. 2017,
+/// section 3).
 static NEAREST_SLOT: [[u8; 256]; 8] = {
-    let mut first = [[0; 256]; 8];
+    let mut nearest = [[0; 256]; 8];
     let mut octant = 0;
     while octant < 8 {
-        let mut set = 1;
-        while set < 256 {
+        let mut slots = 1;
+        while slots < 256 {
             let mut rank = 0;
-            while set >> (rank ^ octant) & 1 == 0 {
+            while slots >> (rank ^ octant) & 1 == 0 {
                 rank += 1;
             }
-            first[octant][set] = (rank ^ octant) as u8;
-            set += 1;
+            nearest[octant][slots] = (rank ^ octant) as u8;
+            slots += 1;
         }
         octant += 1;
     }
-    first
+    nearest
 };

@@ -1,4 +1,6 @@
-//! The door to the SIMD code: any number of rays, sixteen at a time, with the lanes that this processor has.
+//! Run-time dispatch to AVX-512, AVX2 or NEON: splits any number of rays into 16-ray packets and traces them with the
+//! widest instruction set of this processor. On other processors, and in arrays without wide nodes, the kernel traces
+//! one ray at a time.
 
 use fearless_simd::{Level, Simd};
 use glam::Vec3;
@@ -11,15 +13,15 @@ use crate::device::layout::{HitRecord, RayRecord};
 use crate::trace::Traversal;
 use crate::trace::kernel::{KernelScene, any_hit, closest_hit, transmittance};
 
-/// What a task traces rays with.
+/// Packet queries of one task: scene, instruction set and scratch memory.
 pub(super) struct PacketTracer<'a> {
     pub(super) scene: &'a KernelScene<'a>,
     simd_level: Option<Level>,
     scratch: Box<HybridScratch>,
 }
 
-/// Calls a function with the widest lanes of this processor. What is compiled is compiled once for each of these, which takes its time: so
-/// there are no more than users have.
+/// Calls `$call` compiled for instruction set `$level`. The whole traversal is compiled once per listed set, so only
+/// common ones are listed.
 macro_rules! dispatch_simd {
     ($level:expr, $simd:ident => $call:expr) => {
         match $level {
@@ -38,12 +40,12 @@ macro_rules! dispatch_simd {
                 #[inline(always)]
                 || $call,
             ),
-            _ => unreachable!("`lanes` says which there are"),
+            _ => unreachable!("`supported_simd_level` returns no other level"),
         }
     };
 }
 
-/// The processor's lanes, if it has those that the walks are compiled for.
+/// The processor's instruction set, if the SIMD traversal is compiled for it.
 fn supported_simd_level() -> Option<Level> {
     let level = Level::new();
     match level {
@@ -57,12 +59,13 @@ fn supported_simd_level() -> Option<Level> {
 
 impl<'a> PacketTracer<'a> {
     pub(super) fn new(scene: &'a KernelScene<'a>) -> Self {
-        // Arrays made by hand may have no wide nodes: they are walked along escape indices, a ray at a time.
-        let lanes = if scene.layout == Traversal::Wide { supported_simd_level() } else { None };
-        Self { scene, simd_level: lanes, scratch: bytemuck::zeroed_box() }
+        // Without wide nodes (hand-made arrays) rays are traced one at a time by the kernel's rope traversal.
+        let simd_level = if scene.layout == Traversal::Wide { supported_simd_level() } else { None };
+        Self { scene, simd_level, scratch: bytemuck::zeroed_box() }
     }
 
-    /// Of the rays that are asked, here and below, sixteen that follow one another best go much the same way.
+    /// Finds the closest hit of each ray. Here and in the methods below, 16 consecutive rays form a packet and should
+    /// be similar in origin and direction.
     pub(super) fn closest_hits(&mut self, rays: &[RayRecord], ray_mask: u32, hits: &mut [HitRecord]) {
         match self.simd_level {
             Some(level) => self.trace_rays::<ClosestPacket>(level, rays, ray_mask, hits),
@@ -70,6 +73,7 @@ impl<'a> PacketTracer<'a> {
         }
     }
 
+    /// Finds whether each ray hits an opaque surface.
     pub(super) fn any_hits(&mut self, rays: &[RayRecord], ray_mask: u32, hits: &mut [bool]) {
         match self.simd_level {
             Some(level) => self.trace_rays::<AnyPacket>(level, rays, ray_mask, hits),
@@ -77,37 +81,39 @@ impl<'a> PacketTracer<'a> {
         }
     }
 
-    /// How much light gets through.
-    pub(super) fn transmittances(&mut self, rays: &[RayRecord], ray_mask: u32, light: &mut [Vec3]) {
+    /// The transmittance of each ray between `t_min` and `t_max`, per colour channel.
+    pub(super) fn transmittances(&mut self, rays: &[RayRecord], ray_mask: u32, transmittances: &mut [Vec3]) {
         match self.simd_level {
-            Some(level) => self.trace_rays::<TransmittancePacket>(level, rays, ray_mask, light),
+            Some(level) => self.trace_rays::<TransmittancePacket>(level, rays, ray_mask, transmittances),
             None => {
-                light.iter_mut().zip(rays).for_each(|(light, ray)| *light = transmittance(self.scene, ray, ray_mask));
+                transmittances.iter_mut().zip(rays).for_each(|(t, ray)| *t = transmittance(self.scene, ray, ray_mask));
             }
         }
     }
 
-    /// By whole packets; where rays are left over, by one more that has rays which meet nothing.
-    fn trace_rays<A: PacketQuery<Output: Copy>>(
+    /// Traces whole packets; a partial last packet is padded with rays of empty interval, which hit nothing.
+    fn trace_rays<Q: PacketQuery<Output: Copy>>(
         &mut self,
         level: Level,
         rays: &[RayRecord],
         ray_mask: u32,
-        hits: &mut [A::Output],
+        results: &mut [Q::Output],
     ) {
-        let (scene, memory) = (self.scene, &mut *self.scratch);
-        let mut ask = |rays: &[[RayRecord; LANES]], hits: &mut [[A::Output; LANES]]| {
-            dispatch_simd!(level, simd => trace_packets::<_, A>(simd, scene, memory, rays, ray_mask, hits));
+        let (scene, scratch) = (self.scene, &mut *self.scratch);
+        let mut trace = |packets: &[[RayRecord; LANES]], results: &mut [[Q::Output; LANES]]| {
+            dispatch_simd!(level, simd => trace_packets::<_, Q>(simd, scene, scratch, packets, ray_mask, results));
         };
+        // Trace whole packets.
         let (packets, rest) = rays.as_chunks();
-        let (hits, hits_of_rest) = hits.as_chunks_mut();
-        ask(packets, hits);
+        let (results, results_of_rest) = results.as_chunks_mut();
+        trace(packets, results);
+        // Pad the rest with empty rays.
         if let Some(first) = rest.first() {
             let mut packet = [RayRecord { t_max: f32::NEG_INFINITY, ..*first }; LANES];
             packet[..rest.len()].copy_from_slice(rest);
-            let mut hits = [A::MISS; LANES];
-            ask(&[packet], std::array::from_mut(&mut hits));
-            hits_of_rest.copy_from_slice(&hits[..rest.len()]);
+            let mut results = [Q::MISS; LANES];
+            trace(&[packet], std::array::from_mut(&mut results));
+            results_of_rest.copy_from_slice(&results[..rest.len()]);
         }
     }
 }
@@ -121,9 +127,9 @@ mod tests {
     use crate::trace::kernel::is_layered;
     use crate::{BlasKind, Core, Geometry, Material, Quality, Scene};
 
-    /// The widest lanes are those that every other test runs with: here are all that this processor has.
+    /// Every other test runs with the widest instruction set: this one with all that the processor has.
     #[test]
-    fn all_lanes_meet_what_the_kernel_meets() {
+    fn every_simd_level_matches_the_kernel() {
         let mut random = fastrand::Rng::with_seed(1);
         let mut vector = |scale: f32| (Vec3::new(random.f32(), random.f32(), random.f32()) * 2.0 - 1.0) * scale;
         let corners: Vec<Vec3> = (0..600)
@@ -134,7 +140,8 @@ mod tests {
             .collect();
         let mut scene = Scene::new();
         let indices: Vec<[u32; 3]> = (0..600).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
-        // Most of it lets light through, a half with triangles in several leaves.
+        // Two thirds of the triangles are translucent, half of all in a structure that refers to triangles from several
+        // leaves.
         let tint = Vec4::new(0.5, 0.7, 0.9, 1.0);
         let [opaque, panes] = [Material::default(), Material { base_color: tint, ..Material::glass(1.5) }];
         let structure = Some(BlasKind::Bvh(Quality::High));
@@ -150,8 +157,8 @@ mod tests {
         let mut compiler = Compiler::default();
         compiler.compile(&mut scene, glam::DVec3::ZERO).unwrap();
 
-        // Packets that start at a point and go much the same way, packets that do not, and some along an axis with a direction so short that
-        // where they meet most planes is beyond all numbers; the last one is not full.
+        // Coherent packets from one point, incoherent packets, and packets along an axis with a direction so short that
+        // the distances to most planes overflow; the last one is not full.
         let rays: Vec<RayRecord> = (0..2_507)
             .map(|i| {
                 let aim = Vec3::new((i / 16 % 16) as f32 / 8.0 - 1.0, (i / 256) as f32 / 2.0 - 1.0, 0.0);
@@ -168,34 +175,34 @@ mod tests {
             })
             .collect();
         let scene = KernelScene::with_layout(compiler.arrays(), Traversal::Wide);
-        let trace = |lanes: Option<Level>| {
-            let mut tracer = PacketTracer { scene: &scene, simd_level: lanes, scratch: bytemuck::zeroed_box() };
-            let (mut hits, mut any) = (vec![HitRecord::MISS; rays.len()], vec![false; rays.len()]);
+        let trace = |simd_level: Option<Level>| {
+            let mut tracer = PacketTracer { scene: &scene, simd_level, scratch: bytemuck::zeroed_box() };
+            let (mut hits, mut occluded) = (vec![HitRecord::MISS; rays.len()], vec![false; rays.len()]);
             let mut light = vec![Vec3::NAN; rays.len()];
             tracer.closest_hits(&rays, u32::MAX, &mut hits);
-            tracer.any_hits(&rays, u32::MAX, &mut any);
+            tracer.any_hits(&rays, u32::MAX, &mut occluded);
             tracer.transmittances(&rays, u32::MAX, &mut light);
-            (hits, any, light)
+            (hits, occluded, light)
         };
         assert!(scene.instances.iter().any(|instance| is_layered(instance.flags)));
         let expected = trace(None);
         let dimmed = expected.2.iter().filter(|light| light.x > 0.0 && light.x < 1.0).count();
         assert!(dimmed > 50, "{dimmed}");
-        let met = expected.1.iter().filter(|&&hit| hit).count();
-        assert!((300..2_400).contains(&met), "{met}");
-        let far = expected.1[2_000..].iter().filter(|&&hit| hit).count();
-        assert!(far > 100, "{far}");
+        let occluded = expected.1.iter().filter(|&&hit| hit).count();
+        assert!((300..2_400).contains(&occluded), "{occluded}");
+        let with_short_directions = expected.1[2_000..].iter().filter(|&&hit| hit).count();
+        assert!(with_short_directions > 100, "{with_short_directions}");
         let level = Level::new();
         #[cfg(target_arch = "x86_64")]
         let all = [level.as_avx512().map(Level::Avx512), level.as_avx2().map(Level::Avx2)];
         #[cfg(not(target_arch = "x86_64"))]
         let all = [supported_simd_level()];
-        let tested = all.into_iter().flatten().filter(|&lanes| {
-            let (hits, any, light) = trace(Some(lanes));
-            assert_eq!((&hits, &any), (&expected.0, &expected.1), "{lanes:?}");
-            // A product of tints is rounded in the order in which they are met.
+        let tested = all.into_iter().flatten().filter(|&level| {
+            let (hits, occluded, light) = trace(Some(level));
+            assert_eq!((&hits, &occluded), (&expected.0, &expected.1), "{level:?}");
+            // A product of tints is rounded in visiting order.
             let differs = |(a, b): (&Vec3, &Vec3)| !a.abs_diff_eq(*b, 1e-6);
-            assert_eq!(light.iter().zip(&expected.2).position(differs), None, "{lanes:?}");
+            assert_eq!(light.iter().zip(&expected.2).position(differs), None, "{level:?}");
             true
         });
         assert_eq!(tested.count() > 0, supported_simd_level().is_some(), "{level:?}");

@@ -1,4 +1,15 @@
-//! Queries answered by SIMD walks, sixteen rays at a time.
+//! Hybrid traversal: 16-ray packets that switch to single-ray traversal where few of their rays remain active.
+//! (Embree's `bvh_intersector_hybrid` is the same idea.)
+//!
+//! The rays of a packet diverge when they enter different nodes. Packet traversal pays while several rays share a node,
+//! so wherever at most [`SINGLE_RAY_THRESHOLD`] rays remain active, they are traced one by one. This is decided in
+//! three places:
+//!
+//! - TLAS (`tlas_traversal`): a subtree that few rays enter is traversed by each of them alone.
+//! - Instance (`trace_packet`, here): few rays are traced by `single_traversal`. More are traced by `packet_traversal`,
+//!   with the coherent node test of `node_test` if all 16 rays have the same direction octant and the same dominant
+//!   axis, else with the incoherent one.
+//! - BLAS (`packet_traversal`): a subtree or leaf that few rays enter is handed to `single_traversal`.
 
 use fearless_simd::Simd;
 
@@ -12,49 +23,58 @@ use super::tlas_traversal::traverse_tlas_packet;
 use crate::device::layout::RayRecord;
 use crate::trace::kernel::KernelScene;
 
-/// The answers of packet after packet.
+/// Traces each packet and writes its results.
 #[inline(always)]
-pub(super) fn trace_packets<S: Simd, A: PacketQuery>(
+pub(super) fn trace_packets<S: Simd, Q: PacketQuery>(
     simd: S,
     scene: &KernelScene<'_>,
-    memory: &mut HybridScratch,
-    rays: &[[RayRecord; LANES]],
+    scratch: &mut HybridScratch,
+    packets: &[[RayRecord; LANES]],
     ray_mask: u32,
-    hits: &mut [[A::Output; LANES]],
+    results: &mut [[Q::Output; LANES]],
 ) {
-    for (rays, hits) in rays.iter().zip(hits) {
+    for (rays, results) in packets.iter().zip(results) {
+        // Load 16 rays.
         let packet = RayPacket::new(simd, rays);
-        let mut answers = A::new(packet.t_max);
-        trace_packet(simd, scene, memory, &packet, ray_mask, &mut answers);
-        *hits = answers.outputs(simd, scene, rays, ray_mask);
+        // Traverse both levels.
+        let mut queries = Q::new(packet.t_max);
+        trace_packet(simd, scene, scratch, &packet, ray_mask, &mut queries);
+        // Write the results; for layered instances this traces further rays.
+        *results = queries.outputs(simd, scene, rays, ray_mask);
     }
 }
 
-/// One by one where only a few meet an instance.
+/// Traces one packet: the TLAS as a packet; in each instance coherent packet, incoherent packet or single-ray
+/// traversal, by the number and coherence of the rays that hit its box.
 #[inline(always)]
-fn trace_packet<S: Simd, A: PacketQuery>(
+fn trace_packet<S: Simd, Q: PacketQuery>(
     simd: S,
     scene: &KernelScene<'_>,
-    memory: &mut HybridScratch,
+    scratch: &mut HybridScratch,
     packet: &RayPacket<S>,
     ray_mask: u32,
-    answers: &mut A,
+    queries: &mut Q,
 ) {
     traverse_tlas_packet(
         simd,
         scene,
         packet,
-        answers,
+        queries,
         #[inline(always)]
-        |index, lanes, answers| {
-            let Some(place) = InstanceGeometry::of(scene, index, ray_mask) else { return };
-            let rays = LocalPacket::new(simd, packet, place.instance, &place.nodes[0]);
+        |index, lanes, queries| {
+            // Skip instances hidden by the ray mask.
+            let Some(geometry) = InstanceGeometry::of(scene, index, ray_mask) else { return };
+            // Transform the packet to local space.
+            let rays = LocalPacket::new(simd, packet, geometry.instance, &geometry.nodes[0]);
             if lanes.count_ones() <= SINGLE_RAY_THRESHOLD || !rays.is_packet_safe {
-                traverse_single_rays(simd, 0, &mut memory.single, &place, &rays, lanes, answers);
+                // Few active rays, or products that overflow: single rays from the root.
+                traverse_single_rays(simd, 0, &mut scratch.single, &geometry, &rays, lanes, queries);
             } else if is_coherent(&rays) {
-                traverse_packet::<_, _, Coherent<_>>(simd, memory, &place, &rays, lanes, answers);
+                // Coherent packet.
+                traverse_packet::<_, _, Coherent<_>>(simd, scratch, &geometry, &rays, lanes, queries);
             } else {
-                traverse_packet::<_, _, Incoherent<_>>(simd, memory, &place, &rays, lanes, answers);
+                // Incoherent packet.
+                traverse_packet::<_, _, Incoherent<_>>(simd, scratch, &geometry, &rays, lanes, queries);
             }
         },
     );

@@ -1,9 +1,30 @@
-//! The `cpu` executor: the kernel on all cores, a tile of pixels at a time.
+//! The `cpu` executor: SIMD traversal of the wide nodes on all cores.
+//!
+//! A ray's way from dispatch to hit:
+//!
+//! 1. [`Cpu`] (this file) spreads tiles of a frame, or slices of a batch of rays, over rayon's threads. In a frame,
+//!    `tile` gathers the next ray of every unfinished pixel, then the shadow rays to each light.
+//! 2. `dispatch` splits the rays into packets of 16 and calls the code compiled for AVX-512, AVX2 or NEON. Without any
+//!    of these, or without wide nodes, the kernel traces one ray at a time instead.
+//! 3. `hybrid` loads a packet (`ray_packet`) and decides how it is traversed. `tlas_traversal` finds the instances that
+//!    its rays enter; for each, the packet is transformed to local space.
+//! 4. In an instance the loop of `blas_traversal` visits the BLAS's wide nodes front to back. It has two visitors:
+//!    `packet_traversal` for the packet as a whole, `single_traversal` for one of its rays.
+//! 5. Boxes: a packet is tested by `node_test`, in a coherent or an incoherent form; a single ray in
+//!    `single_traversal`. Both decode nodes by `wide_node`.
+//! 6. Triangles: `triangle_test`, with the permutation and shear of `shear`: one triangle against 16 rays, or four
+//!    triangles against one ray. `packet_queries` accepts or rejects each hit and holds the results.
+//!
+//! When rays diverge: a packet whose rays differ in direction octant or dominant axis is *incoherent*, and each box is
+//! tested against all its rays, so that each child is visited by just the rays that hit it. Where at most two rays of
+//! any packet remain active, in the TLAS, at an instance, at a node or at a leaf, they leave the packet and continue as
+//! single rays (`hybrid`). Wavefronts of a frame are compacted, so that later packets are full again (`tile`).
 
 #![allow(
     clippy::redundant_closure,
     clippy::redundant_closure_for_method_calls,
-    reason = "what is passed by its name is called, a closure marked so is not, and a call takes the lanes through memory"
+    reason = "a function passed by name is not inlined, a closure marked `#[inline(always)]` is; a call would spill \
+              the SIMD registers"
 )]
 
 mod blas_traversal;
@@ -13,11 +34,13 @@ mod node_test;
 mod packet_queries;
 mod packet_traversal;
 mod ray_packet;
+mod shear;
 mod simd;
 mod single_traversal;
 mod tile;
 mod tlas_traversal;
 mod triangle_test;
+mod wide_node;
 
 use rayon::prelude::*;
 
@@ -31,20 +54,25 @@ use crate::device::DeviceArrays;
 use crate::device::layout::{HitRecord, RayRecord};
 use crate::image::Image;
 
-/// Runs the kernel on rayon's current thread pool. Reads the arrays in place.
+/// Traces rays on all threads of rayon's current pool, 16 at a time in the lanes of AVX-512, AVX2 or NEON where the
+/// processor has one of these, else one by one. Borrows the arrays; [`upload`](Tracer::upload) copies nothing.
+///
+/// Of the errors of [`Tracer`] only [`Error::Limit`](crate::Error::Limit) occurs, for a frame with too many pixels. A
+/// frame takes memory for its pixels; batches of rays take a fixed amount per thread.
 #[derive(Debug)]
 pub struct Cpu {
     device: DeviceInfo,
-    /// Tile after tile, each row by row; tiles at the right and lower edges have no pixels beyond.
+    /// Pixels in tile order, row by row within each tile. Tiles at the right and lower edges are cut to the image.
     pixels: Vec<Pixel>,
     width: u32,
     height: u32,
     aovs: bool,
 }
 
-/// Pixels along a tile's side: rays of a tile visit much the same nodes, and there are enough tiles to keep all cores busy.
+/// Side of a tile in pixels: small enough for load balancing over cores, large enough that a tile's rays share nodes in
+/// the cache.
 const TILE_SIDE: u32 = 16;
-/// Rays that one task traces.
+/// Rays per rayon task in batch queries.
 const RAYS_PER_TASK: usize = 512;
 
 impl Default for Cpu {
@@ -74,8 +102,10 @@ impl Tracer for Cpu {
         if count == 0 {
             return Ok(());
         }
+        // Render rows of tiles in parallel.
         let rows_of_tiles = self.pixels.par_chunks_mut(TILE_SIDE as usize * self.width as usize);
         rows_of_tiles.zip((0..self.height).into_par_iter().step_by(TILE_SIDE as usize)).for_each(|(row, top)| {
+            // Render the tiles of a row in parallel; scratch memory is per task.
             let tiles = row.par_chunks_mut((TILE_SIDE * rows_of_tile(self.height, top)) as usize);
             let tiles = tiles.zip((0..self.width).into_par_iter().step_by(TILE_SIDE as usize));
             tiles.for_each_init(
@@ -110,15 +140,16 @@ impl Tracer for Cpu {
 }
 
 impl Cpu {
-    /// As [`closest_hits`](Tracer::closest_hits), into memory that the caller keeps: new memory costs more time than many a ray.
+    /// As [`closest_hits`](Tracer::closest_hits), but writes the hits into `hits`, so that a caller can reuse its
+    /// allocation (page-faulting new memory can cost more than tracing).
     ///
-    /// Sixteen rays that follow one another are traced together for as long as they visit the same nodes: so have neighbours stand
-    /// beside each other.
+    /// Each 16 consecutive rays form a packet, which is traversed as one while its rays visit the same nodes. Order
+    /// rays so that neighbours in the slice have similar origins and directions.
     ///
     /// # Panics
-    /// If `hits` is not as long as `rays`.
+    /// If `hits` and `rays` differ in length.
     pub fn closest_hits_into(&self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32, hits: &mut [HitRecord]) {
-        assert_eq!(rays.len(), hits.len(), "a hit a ray");
+        assert_eq!(rays.len(), hits.len(), "`hits` and `rays` must have the same length");
         let scene = KernelScene::with_layout(arrays, Traversal::Wide);
         let tasks = rays.par_chunks(RAYS_PER_TASK).zip(hits.par_chunks_mut(RAYS_PER_TASK));
         tasks.for_each_init(
@@ -127,19 +158,20 @@ impl Cpu {
         );
     }
 
-    /// As [`any_hits`](Tracer::any_hits), into memory that the caller keeps.
+    /// As [`any_hits`](Tracer::any_hits), but writes the results into `hits`, so that a caller can reuse its
+    /// allocation. Order rays as for [`closest_hits_into`](Self::closest_hits_into).
     ///
     /// # Panics
-    /// If `hits` is not as long as `rays`.
+    /// If `hits` and `rays` differ in length.
     pub fn any_hits_into(&self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32, hits: &mut [bool]) {
-        assert_eq!(rays.len(), hits.len(), "a hit a ray");
+        assert_eq!(rays.len(), hits.len(), "`hits` and `rays` must have the same length");
         let scene = KernelScene::with_layout(arrays, Traversal::Wide);
         let tasks = rays.par_chunks(RAYS_PER_TASK).zip(hits.par_chunks_mut(RAYS_PER_TASK));
         tasks.for_each_init(|| PacketTracer::new(&scene), |tracer, (rays, hits)| tracer.any_hits(rays, ray_mask, hits));
     }
 }
 
-/// Makes room for that many pixels, and gives memory back after a much larger frame.
+/// Resizes to `count` pixels, and frees memory after a much larger frame.
 fn resize(pixels: &mut Vec<Pixel>, count: usize) {
     pixels.resize(count, Pixel::MISS);
     if pixels.capacity() / 4 > count {
@@ -147,17 +179,17 @@ fn resize(pixels: &mut Vec<Pixel>, count: usize) {
     }
 }
 
-/// Rows of a tile whose first row is `top`.
+/// Number of rows of a tile whose first row is `top`.
 fn rows_of_tile(height: u32, top: u32) -> u32 {
     TILE_SIDE.min(height - top)
 }
 
-/// Columns of a tile whose first column is `left`.
+/// Number of columns of a tile whose first column is `left`.
 fn columns_of_tile(width: u32, left: u32) -> u32 {
     TILE_SIDE.min(width - left)
 }
 
-/// Where the pixel in column `x` and row `y` is stored.
+/// Index in [`Cpu::pixels`] of the pixel in column `x` and row `y`.
 fn pixel_index([width, height]: [u32; 2], x: u32, y: u32) -> usize {
     let [left, top] = [x, y].map(|x| x / TILE_SIDE * TILE_SIDE);
     let above = top as usize * width as usize;
@@ -173,14 +205,14 @@ mod tests {
     use crate::device::Needs;
     use crate::device::layout::FrameParams;
 
-    /// So that the limit on the pixels of a frame is one on memory, however long and thin the frame.
+    /// Every pixel has its own index and no index is unused, so that `MAX_PIXELS` bounds memory for every aspect ratio.
     #[test]
-    fn each_pixel_has_a_place_and_none_is_left_over() {
+    fn pixel_indices_are_a_permutation() {
         for (width, height) in [(1, 1), (16, 16), (15, 17), (33, 50), (1, 100), (100, 1), (64, 31)] {
-            let mut found: Vec<usize> =
+            let mut indices: Vec<usize> =
                 (0..height).flat_map(|y| (0..width).map(move |x| pixel_index([width, height], x, y))).collect();
-            found.sort_unstable();
-            assert!(found.into_iter().eq(0..(width * height) as usize), "{width} x {height}");
+            indices.sort_unstable();
+            assert!(indices.into_iter().eq(0..(width * height) as usize), "{width} x {height}");
         }
         let long = 1 << 28;
         assert_eq!(pixel_index([1, long], 0, long - 1), long as usize - 1);
@@ -188,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn memory_follows_the_frame_down() {
+    fn memory_is_freed_after_a_much_larger_frame() {
         let mut cpu = Cpu::default();
         let mut pixels_held = |width, height| {
             let params = FrameParams { width, height, ..FrameParams::zeroed() };
@@ -197,7 +229,7 @@ mod tests {
             cpu.pixels.capacity()
         };
         assert!(pixels_held(200, 200) >= 40_000);
-        // A little smaller: kept, for the next one.
+        // A slightly smaller frame keeps the memory.
         assert!(pixels_held(150, 150) >= 40_000);
         assert!(pixels_held(10, 10) < 1000);
         assert_eq!(pixels_held(0, 10), 0);

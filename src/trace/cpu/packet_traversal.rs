@@ -1,102 +1,112 @@
-//! Rays of a packet that visit the same nodes: one triangle after the other against all of them. Where only a few rays meet a node they go on
-//! one by one.
+//! Packet traversal of a BLAS: each triangle of a leaf is tested against all 16 rays. At or below
+//! [`SINGLE_RAY_THRESHOLD`] active rays a subtree or leaf is handed to single-ray traversal.
+//!
+//! The loop is that of `blas_traversal`; boxes are tested by one of the two forms of `node_test`, for coherent and for
+//! incoherent packets.
 
 use bytemuck::Zeroable;
 use fearless_simd::Simd;
 use fearless_simd::prelude::*;
 
-use super::blas_traversal::{NodeVisitor, Stack, traverse_blas};
-use super::node_test::{self, NodeTest};
+use super::blas_traversal::{ChildVisit, NodeVisitor, Stack, traverse_blas};
+use super::node_test::{NodeTest, NodeTestScratch};
 use super::packet_queries::{InstanceGeometry, PacketQuery};
 use super::ray_packet::LocalPacket;
-use super::simd::{F32Lanes, LANES, load, map_axes};
-use super::single_traversal::{self, intersect_leaf_single_rays, traverse_single_rays};
-use super::triangle_test::{PlaneOperands, Shear, intersect_triangles, plane_distances, splat_axes};
+use super::shear::Shear;
+use super::simd::{F32Lanes, LANES, load, map_axes, splat_axes};
+use super::single_traversal::{SingleScratch, intersect_leaf_single_rays, traverse_single_rays};
+use super::triangle_test::{PlaneOperands, intersect_triangles, plane_distances};
 use crate::device::layout::{PrimitiveRange, Triangle, WideNode};
 
-/// As many rays as go on one by one.
+/// At or below this many active rays the packet switches to single-ray traversal.
 pub(super) const SINGLE_RAY_THRESHOLD: u32 = 2;
 
-/// What walks write to. Kept from ray to ray, so that nothing clears it.
+/// Scratch memory of traversals: stacks and per-level results. Reused without clearing; each entry is written before it
+/// is read.
 #[derive(Clone, Copy, Zeroable)]
 pub(super) struct HybridScratch {
     stack: Stack,
-    boxes: node_test::NodeTestScratch,
-    pub(super) single: single_traversal::SingleScratch,
+    node_test: NodeTestScratch,
+    pub(super) single: SingleScratch,
 }
 
-/// The rays of these lanes. A function of its own: it needs all registers.
+/// Traverses a BLAS with the active `lanes` of a packet. Never inlined, so that the register allocator has all vector
+/// registers.
 #[inline(never)]
-pub(super) fn traverse_packet<'a, S: Simd, A: PacketQuery, B: NodeTest<'a, S>>(
+pub(super) fn traverse_packet<'a, S: Simd, Q: PacketQuery, N: NodeTest<'a, S>>(
     simd: S,
-    memory: &'a mut HybridScratch,
-    place: &'a InstanceGeometry<'a>,
+    scratch: &'a mut HybridScratch,
+    geometry: &'a InstanceGeometry<'a>,
     rays: &'a LocalPacket,
     lanes: u64,
-    answers: &'a mut A,
+    queries: &'a mut Q,
 ) {
     simd.vectorize(
         #[inline(always)]
         || {
-            let HybridScratch { stack, boxes, single } = memory;
-            let boxes = B::new(simd, rays, answers.t_max(), boxes);
-            let mut walker = PacketTraversal { simd, place, rays, answers, boxes, single, lanes, visited_nodes: 0 };
-            traverse_blas(place.nodes, 0, first_ray_octant(rays, lanes), stack, &mut walker);
+            let HybridScratch { stack, node_test, single } = scratch;
+            let node_test = N::new(simd, rays, queries.t_max(), node_test);
+            let mut visitor =
+                PacketTraversal { simd, geometry, rays, queries, node_test, single, lanes, visited_nodes: 0 };
+            traverse_blas(geometry.nodes, 0, first_ray_octant(rays, lanes), stack, &mut visitor);
         },
     );
 }
 
-/// Of the first ray: nodes are visited in its order.
+/// The direction octant of the first active ray, which decides the order in which children are visited.
 #[inline(always)]
 fn first_ray_octant(rays: &LocalPacket, lanes: u64) -> usize {
     rays.octants[lanes.trailing_zeros() as usize % LANES] as usize
 }
 
-/// The rays of a packet, that ask one kind of query.
-struct PacketTraversal<'a, S, A, B> {
+/// Visitor of a packet traversal with one kind of query.
+struct PacketTraversal<'a, S, Q, N> {
     simd: S,
-    place: &'a InstanceGeometry<'a>,
+    geometry: &'a InstanceGeometry<'a>,
     rays: &'a LocalPacket,
-    answers: &'a mut A,
-    boxes: B,
-    single: &'a mut single_traversal::SingleScratch,
-    /// A bit for each ray that meets the node which is visited next.
+    queries: &'a mut Q,
+    node_test: N,
+    single: &'a mut SingleScratch,
+    /// Active lanes: one bit per ray that enters the node visited next.
     lanes: u64,
     /// Nodes visited so far.
     visited_nodes: u32,
 }
 
-impl<'a, S: Simd, A: PacketQuery, B: NodeTest<'a, S>> PacketTraversal<'a, S, A, B> {
-    /// Tests one triangle.
+impl<'a, S: Simd, Q: PacketQuery, N: NodeTest<'a, S>> PacketTraversal<'a, S, Q, N> {
+    /// Tests one triangle, that of index `index`, against the active rays and offers the hits to their queries.
     #[inline(always)]
     fn intersect_triangle(&mut self, lanes: u64, triangle: &Triangle, index: u32) {
         let (simd, rays) = (self.simd, self.rays);
+        // Load the shear of each ray.
         let load = |numbers: &F32Lanes| load(simd, *numbers);
         let shear = Shear {
             minus_scale: load(&rays.shear.minus_scale),
             slopes: [load(&rays.shear.slopes[0]), load(&rays.shear.slopes[1])],
             t_scale: load(&rays.shear.t_scale),
         };
+        // Project the three vertices along each ray.
         let [a, b, c] = map_axes(
             [triangle.v0, triangle.v1, triangle.v2],
             #[inline(always)]
-            |corner| {
-                let [x, y, t] = self.boxes.to_shear_axes(corner);
+            |vertex| {
+                let [x, y, t] = self.node_test.to_shear_axes(vertex);
                 shear.apply(
                     [load(&rays.sheared_origins[0]) - x, load(&rays.sheared_origins[1]) - y],
                     t - load(&rays.sheared_origins[2]),
                 )
             },
         );
+        // Test the edges, then compute the distance.
         let corners = [[a[0], b[0], c[0]], [a[1], b[1], c[1]], [a[2], b[2], c[2]]];
-        let crossings = intersect_triangles(
+        let hits = intersect_triangles(
             simd,
             lanes,
             corners,
             load(&rays.depth_scale),
             #[inline(always)]
-            |t, w| {
-                let lanes = PlaneOperands {
+            |t, weights| {
+                let operands = PlaneOperands {
                     origin: [load(&rays.origins[0]), load(&rays.origins[1]), load(&rays.origins[2])],
                     direction: [load(&rays.directions[0]), load(&rays.directions[1]), load(&rays.directions[2])],
                     corners: [
@@ -106,62 +116,71 @@ impl<'a, S: Simd, A: PacketQuery, B: NodeTest<'a, S>> PacketTraversal<'a, S, A, 
                     ],
                     scale: -shear.minus_scale,
                 };
-                plane_distances(&lanes, t, w)
+                plane_distances(&operands, t, weights)
             },
         );
-        let Some((mut crossed, crossings)) = crossings else { return };
-        crossed &= crossings.t.simd_ge(load(&rays.t_min)).to_bitmask();
-        crossed &= crossings.t.simd_le(load(self.answers.t_max())).to_bitmask();
-        if crossed != 0 {
-            self.answers.accept_hits(simd, self.place, index, crossed, &crossings);
-            self.boxes.tighten_t_max(self.answers.t_max());
+        let Some((mut hit_lanes, hits)) = hits else { return };
+        // Clip to [t_min, t_max].
+        hit_lanes &= hits.t.simd_ge(load(&rays.t_min)).to_bitmask();
+        hit_lanes &= hits.t.simd_le(load(self.queries.t_max())).to_bitmask();
+        // Offer the hits to the queries, and tell the node test that t_max may have shrunk.
+        if hit_lanes != 0 {
+            self.queries.accept_hits(simd, self.geometry, index, hit_lanes, &hits);
+            self.node_test.tighten_t_max(self.queries.t_max());
         }
     }
 }
 
-impl<'a, S: Simd, A: PacketQuery, B: NodeTest<'a, S>> NodeVisitor for PacketTraversal<'a, S, A, B> {
+impl<'a, S: Simd, Q: PacketQuery, N: NodeTest<'a, S>> NodeVisitor for PacketTraversal<'a, S, Q, N> {
     #[inline(always)]
     fn intersect_children(&mut self, node: &WideNode, depth: usize) -> u32 {
         self.visited_nodes += 1;
-        self.boxes.meet(node, depth, self.lanes, self.answers.t_max())
+        self.node_test.intersect_children(node, depth, self.lanes, self.queries.t_max())
     }
 
     #[inline(always)]
     fn cull_beyond_t_max(&self, slots: u32, depth: usize) -> u32 {
-        self.boxes.still_meet(slots, depth)
+        self.node_test.cull_beyond_t_max(slots, depth)
     }
 
     #[inline(always)]
-    fn inner(&mut self, node: &WideNode, depth: usize, slot: usize, child: u32) -> Option<bool> {
-        if self.visited_nodes <= B::UNMASKED_NODES {
-            return None;
+    fn enter_child(&mut self, node: &WideNode, depth: usize, slot: usize, child: u32) -> ChildVisit {
+        // Descend as a whole near the root.
+        if self.visited_nodes <= N::UNMASKED_NODES {
+            return ChildVisit::Descend;
         }
-        let lanes = self.boxes.active_lanes(node, depth, slot, self.answers.t_max());
+        // Compute the active rays of the child. Enough of them: descend as a packet.
+        let lanes = self.node_test.active_lanes(node, depth, slot, self.queries.t_max());
         if lanes.count_ones() > SINGLE_RAY_THRESHOLD {
             self.lanes = lanes;
-            return None;
+            return ChildVisit::Descend;
         }
+        // No active ray: skip the subtree.
         if lanes == 0 {
-            return Some(false);
+            return ChildVisit::Done { t_max_shortened: false };
         }
-        traverse_single_rays(self.simd, child, self.single, self.place, self.rays, lanes, self.answers);
-        self.boxes.tighten_t_max(self.answers.t_max());
-        Some(true)
+        // Few active rays: they have diverged from the others, finish the subtree one by one.
+        traverse_single_rays(self.simd, child, self.single, self.geometry, self.rays, lanes, self.queries);
+        self.node_test.tighten_t_max(self.queries.t_max());
+        ChildVisit::Done { t_max_shortened: true }
     }
 
     #[inline(always)]
     fn visit_leaf(&mut self, node: &WideNode, depth: usize, slot: usize, triangles: PrimitiveRange) -> bool {
-        let lanes = self.boxes.active_lanes(node, depth, slot, self.answers.t_max());
+        // Compute the active rays of the leaf. None: skip it.
+        let lanes = self.node_test.active_lanes(node, depth, slot, self.queries.t_max());
         if lanes == 0 {
             return false;
         }
+        // Few active rays: single-ray triangle tests.
         if lanes.count_ones() <= SINGLE_RAY_THRESHOLD {
-            intersect_leaf_single_rays(self.simd, self.place, self.rays, lanes, triangles, self.answers);
-            self.boxes.tighten_t_max(self.answers.t_max());
+            intersect_leaf_single_rays(self.simd, self.geometry, self.rays, lanes, triangles, self.queries);
+            self.node_test.tighten_t_max(self.queries.t_max());
             return true;
         }
-        let first = self.place.instance.first_triangle + triangles.first_primitive();
-        let scene = self.place.scene;
+        // Test each triangle against all active rays.
+        let first = self.geometry.instance.first_triangle + triangles.first_primitive();
+        let scene = self.geometry.scene;
         for (i, triangle) in (first..).zip(&scene.triangles[first as usize..][..triangles.primitive_count() as usize]) {
             self.intersect_triangle(lanes, triangle, i);
         }

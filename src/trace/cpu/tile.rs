@@ -1,4 +1,5 @@
-//! Pixels that are rendered together: the next ray of each path, then the shadow rays to each light.
+//! Renders a tile in wavefronts: the next closest-hit ray of each pixel's ray tree, then for each light the shadow rays
+//! of all surfaces hit.
 
 use glam::Vec3;
 
@@ -6,14 +7,15 @@ use super::dispatch::PacketTracer;
 use crate::device::layout::{FrameParams, HitRecord, LightRecord, RayRecord};
 use crate::trace::kernel::{KernelScene, LightSample, Pixel, RayTree, SurfaceHit, active_lights, camera_ray};
 
-/// Pixels along the side of a block. Its primary rays are a packet, but at the edges of an image, where blocks are smaller.
+/// Side in pixels of the block whose primary rays form one packet (4 x 4 = 16); blocks at the image's edges are
+/// smaller.
 const BLOCK_SIDE: usize = 4;
 
-/// Renders tile after tile. Rays of paths that go on stand beside each other, so that packets are full for as long as there are any.
+/// Renders tile after tile. Rays of unfinished pixels are compacted before each wavefront, so that packets stay full.
 pub(super) struct TileTracer<'a> {
     tracer: PacketTracer<'a>,
     paths: Vec<RayTree>,
-    /// The rays that are traced together, and which paths, or surfaces, they belong to.
+    /// The wavefront's rays, and for each the index of its path (closest hit) or surface (shadow).
     rays: Vec<RayRecord>,
     ray_owners: Vec<usize>,
     hits: Vec<HitRecord>,
@@ -22,12 +24,12 @@ pub(super) struct TileTracer<'a> {
     transmittances: Vec<Vec3>,
 }
 
-/// A surface that the ray of a path has met, and that waits for its light.
+/// A surface hit that is shaded once all lights have been sampled.
 struct PendingSurface {
     path: usize,
-    met: SurfaceHit,
-    /// What goes back along the ray of the lights so far.
-    light: Vec3,
+    hit: SurfaceHit,
+    /// Radiance reflected along the ray, summed over the lights sampled so far.
+    radiance: Vec3,
 }
 
 impl<'a> TileTracer<'a> {
@@ -44,34 +46,38 @@ impl<'a> TileTracer<'a> {
         }
     }
 
-    /// Renders the pixels of a tile, row by row.
+    /// Renders the pixels of the tile whose first pixel is `[left, top]`. `pixels` are stored row by row.
     pub(super) fn render(&mut self, params: &FrameParams, [left, top]: [u32; 2], columns: u32, pixels: &mut [Pixel]) {
+        // 1. Order pixels by blocks of 4 x 4, one packet of primary rays each.
         let rows = pixels.len() as u32 / columns;
         let blocks = (0..rows).step_by(BLOCK_SIDE).flat_map(|y| (0..columns).step_by(BLOCK_SIDE).map(move |x| [x, y]));
-        let places = blocks.flat_map(|[x, y]| {
+        let pixel_positions = blocks.flat_map(|[x, y]| {
             let ends = [x + BLOCK_SIDE as u32, y + BLOCK_SIDE as u32];
             (y..ends[1].min(rows)).flat_map(move |y| (x..ends[0].min(columns)).map(move |x| [x, y]))
         });
-        // Paths are large: those of the last tile are used again.
+        // 2. Start a primary ray per pixel. Paths are large, so the memory of the last tile's is used again.
         self.paths.resize_with(pixels.len(), RayTree::default);
-        for ([x, y], path) in places.clone().zip(&mut self.paths) {
+        for ([x, y], path) in pixel_positions.clone().zip(&mut self.paths) {
             path.reset(&camera_ray(params, left + x, top + y));
         }
+        // 3. For each wavefront: trace the next rays, sample all lights, shade the surfaces hit.
         while self.trace_next_rays(params) {
             for light in active_lights(self.tracer.scene, params) {
                 self.add_light(params, light);
             }
-            for PendingSurface { path, met, light } in &self.surfaces {
-                self.paths[*path].shade(params, met, *light);
+            for PendingSurface { path, hit, radiance } in &self.surfaces {
+                self.paths[*path].shade(params, hit, *radiance);
             }
         }
-        for ([x, y], path) in places.zip(&mut self.paths) {
+        // 4. Write the pixels.
+        for ([x, y], path) in pixel_positions.zip(&mut self.paths) {
             pixels[(y * columns + x) as usize] = path.finish(params);
         }
     }
 
-    /// Traces a ray of each path that has one; says whether there were any.
+    /// Traces the next ray of each unfinished path; returns whether there was any.
     fn trace_next_rays(&mut self, params: &FrameParams) -> bool {
+        // Gather the next rays.
         self.rays.clear();
         self.ray_owners.clear();
         for (index, path) in self.paths.iter_mut().enumerate() {
@@ -80,35 +86,40 @@ impl<'a> TileTracer<'a> {
                 self.ray_owners.push(index);
             }
         }
-        self.surfaces.clear();
+        // Trace them.
         self.hits.resize(self.rays.len(), HitRecord::MISS);
         self.tracer.closest_hits(&self.rays, params.ray_mask, &mut self.hits);
+        // Record the hits, and collect the surfaces.
+        self.surfaces.clear();
         for (&path, hit) in self.ray_owners.iter().zip(&self.hits) {
-            if let Some(met) = self.paths[path].record_hit(self.tracer.scene, params, hit) {
-                self.surfaces.push(PendingSurface { path, met, light: Vec3::ZERO });
+            if let Some(hit) = self.paths[path].record_hit(self.tracer.scene, params, hit) {
+                self.surfaces.push(PendingSurface { path, hit, radiance: Vec3::ZERO });
             }
         }
         !self.rays.is_empty()
     }
 
-    /// Adds what a light sends to the viewer.
+    /// Traces the shadow rays to one light and adds the radiance it contributes to each surface.
     fn add_light(&mut self, params: &FrameParams, light: &LightRecord) {
+        // Gather a shadow ray for each surface to which the light contributes.
         self.rays.clear();
         self.ray_owners.clear();
         self.light_samples.clear();
         for (index, surface) in self.surfaces.iter().enumerate() {
-            if let Some(lit) = surface.met.light_sample(light) {
-                self.rays.push(lit.ray);
+            if let Some(sample) = surface.hit.light_sample(light) {
+                self.rays.push(sample.ray);
                 self.ray_owners.push(index);
-                self.light_samples.push(lit);
+                self.light_samples.push(sample);
             }
         }
+        // Trace their transmittances.
         self.transmittances.resize(self.rays.len(), Vec3::ONE);
         self.tracer.transmittances(&self.rays, params.ray_mask, &mut self.transmittances);
-        for ((&surface, lit), &transmittance) in
+        // Accumulate the light that arrives.
+        for ((&surface, sample), &transmittance) in
             self.ray_owners.iter().zip(&self.light_samples).zip(&self.transmittances)
         {
-            self.surfaces[surface].light += lit.radiance(transmittance);
+            self.surfaces[surface].radiance += sample.radiance(transmittance);
         }
     }
 }

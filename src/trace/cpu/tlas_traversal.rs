@@ -1,18 +1,20 @@
-//! The top level, near instances first.
+//! Ordered traversal of the TLAS, by packets and single rays: near child first. A subtree that few rays of a packet
+//! enter is traversed by each of them alone.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x16};
 use glam::Vec3;
 
+use super::node_test::slab_test;
 use super::packet_queries::PacketQuery;
 use super::packet_traversal::SINGLE_RAY_THRESHOLD;
-use super::ray_packet::{RayPacket, reciprocals, slab_test};
+use super::ray_packet::{RayPacket, reciprocals};
 use super::simd::{F32Lanes, lanes_of, load, map_axes};
 use crate::accel::Tlas;
 use crate::device::layout::{Node, RayRecord};
 use crate::trace::kernel::{KernelScene, intersects_box, slab_ray};
 
-/// Visits the instances below the node of index `root` whose boxes the ray meets no farther than `t_max`, which `visit` returns anew.
+/// Calls `visit` with each instance below `root` whose box the ray enters by `t_max`; `visit` returns the new `t_max`.
 #[inline(always)]
 fn traverse_tlas_single(
     scene: &KernelScene<'_>,
@@ -29,24 +31,26 @@ fn traverse_tlas_single(
         direction,
         #[inline(always)]
         |_, node, instance| {
-            let met = intersects_box(&slab, ray.t_min, t_max, node);
-            if let (true, Some(instance)) = (met, instance) {
+            // Test the box; at a leaf, hand the instance over.
+            let is_hit = intersects_box(&slab, ray.t_min, t_max, node);
+            if let (true, Some(instance)) = (is_hit, instance) {
                 t_max = visit(instance);
             }
-            met
+            is_hit
         },
     );
 }
 
-/// Visits the instances whose boxes rays of the packet meet no farther than its answers, with a bit for each of these rays: near ones
-/// first for the first ray, and for each of those few that go on one by one.
+/// Calls `visit` with each instance whose box some ray of the packet enters by its own `t_max`, and the mask of those
+/// rays. Children are ordered for the packet's first ray; subtrees with at most [`SINGLE_RAY_THRESHOLD`] active rays
+/// are traversed one ray at a time, ordered for that ray.
 #[inline(always)]
-pub(super) fn traverse_tlas_packet<S: Simd, A: PacketQuery>(
+pub(super) fn traverse_tlas_packet<S: Simd, Q: PacketQuery>(
     simd: S,
     scene: &KernelScene<'_>,
     packet: &RayPacket<S>,
-    answers: &mut A,
-    mut visit: impl FnMut(u32, u64, &mut A),
+    queries: &mut Q,
+    mut visit: impl FnMut(u32, u64, &mut Q),
 ) {
     let slabs = PacketSlabTest {
         origins: packet.origins,
@@ -59,27 +63,31 @@ pub(super) fn traverse_tlas_packet<S: Simd, A: PacketQuery>(
         Vec3::from_array(packet.ray(0).direction),
         #[inline(always)]
         |index, node, instance| {
-            let met = slabs.meet(simd, node, answers.t_max());
-            if met == 0 {
+            // Test the box against all rays of the packet.
+            let lanes = slabs.active_lanes(simd, node, queries.t_max());
+            if lanes == 0 {
                 return false;
             }
+            // Leaf: hand over the instance and the mask.
             if let Some(instance) = instance {
-                visit(instance, met, answers);
+                visit(instance, lanes, queries);
                 return false;
             }
-            if met.count_ones() > SINGLE_RAY_THRESHOLD {
+            // Many active rays: descend.
+            if lanes.count_ones() > SINGLE_RAY_THRESHOLD {
                 return true;
             }
-            for lane in lanes_of(met) {
+            // Few active rays: traverse the subtree per ray.
+            for lane in lanes_of(lanes) {
                 traverse_tlas_single(
                     scene,
                     index,
                     &packet.ray(lane),
-                    answers.t_max()[lane],
+                    queries.t_max()[lane],
                     #[inline(always)]
                     |instance| {
-                        visit(instance, 1 << lane, answers);
-                        answers.t_max()[lane]
+                        visit(instance, 1 << lane, queries);
+                        queries.t_max()[lane]
                     },
                 );
             }
@@ -88,7 +96,7 @@ pub(super) fn traverse_tlas_packet<S: Simd, A: PacketQuery>(
     );
 }
 
-/// The rays of a packet as boxes see them.
+/// Operands of the slab test for a packet.
 struct PacketSlabTest<S: Simd> {
     origins: [f32x16<S>; 3],
     reciprocals: [f32x16<S>; 3],
@@ -96,9 +104,9 @@ struct PacketSlabTest<S: Simd> {
 }
 
 impl<S: Simd> PacketSlabTest<S> {
-    /// A bit for each ray that meets a box.
+    /// Mask of the rays that intersect a node's box.
     #[inline(always)]
-    fn meet(&self, simd: S, node: &Node, t_max: &F32Lanes) -> u64 {
+    fn active_lanes(&self, simd: S, node: &Node, t_max: &F32Lanes) -> u64 {
         let t = map_axes(
             [0, 1, 2],
             #[inline(always)]
@@ -112,52 +120,60 @@ impl<S: Simd> PacketSlabTest<S> {
     }
 }
 
-/// Shows nodes from `root` on to `visit`, with their indices: it is told the instance where a node is a leaf, and says whether to go on below.
+/// Calls `visit(index, node, instance)` for nodes below `root`, near child first along `direction`; `instance` is set
+/// for a leaf; `visit` returns whether to descend.
 ///
-/// The stack is never too short for a [`Tlas`]. One made by hand may be deeper: what has no room is walked along escape indices.
+/// The stack is never too short for a [`Tlas`]. A hand-made TLAS may be deeper: a subtree for which the stack has no
+/// room is traversed along escape indices.
 #[inline(always)]
 fn traverse_tlas(nodes: &[Node], root: u32, direction: Vec3, mut visit: impl FnMut(u32, &Node, Option<u32>) -> bool) {
-    // A hierarchy of nothing is absent or zero.
+    // An empty TLAS has no nodes, or a zeroed or unused root.
     if nodes.first().is_none_or(Node::is_empty_root) {
         return;
     }
+    // A TLAS of one instance is a single leaf.
     if nodes[0].is_leaf() {
         visit(0, &nodes[0], Some(nodes[0].primitives.first_primitive()));
         return;
     }
     let mut stack = [root; Tlas::MAX_DEPTH + 1];
-    let mut waiting = 1;
-    // What is left to be walked along escape indices.
-    let mut rope = 0..0;
-    while waiting > 0 || !rope.is_empty() {
-        let on_rope = !rope.is_empty();
-        let index = if on_rope {
-            rope.start
+    let mut stack_size = 1;
+    // What is left of a subtree that is traversed along escape indices.
+    let mut escape_range = 0..0;
+    while stack_size > 0 || !escape_range.is_empty() {
+        // Take the next node: from the escape range, else from the stack.
+        let in_escape_range = !escape_range.is_empty();
+        let index = if in_escape_range {
+            escape_range.start
         } else {
-            waiting -= 1;
-            stack[waiting]
+            stack_size -= 1;
+            stack[stack_size]
         };
+        // Visit it.
         let node = &nodes[index as usize];
         let is_leaf = node.is_leaf();
-        let opens =
+        let descends =
             visit(index, node, is_leaf.then(|| node.primitives.first_primitive())) && !is_leaf && !node.is_empty();
         let left = index + 1;
-        if on_rope {
-            rope.start = if opens { left } else { node.escape_index };
-        } else if opens && waiting + 2 > stack.len() {
-            rope = left..node.escape_index;
-        } else if opens {
+        if in_escape_range {
+            // Escape range: step to the first child, or to the escape index.
+            escape_range.start = if descends { left } else { node.escape_index };
+        } else if descends && stack_size + 2 > stack.len() {
+            // Stack full: traverse this subtree along escape indices.
+            escape_range = left..node.escape_index;
+        } else if descends {
+            // Push the far child, then the near child.
             let right = Node::right_child(nodes, index as usize) as u32;
-            let from_left = center(&nodes[right as usize]) - center(&nodes[left as usize]);
+            let from_left = doubled_center(&nodes[right as usize]) - doubled_center(&nodes[left as usize]);
             let [near, far] = if from_left.dot(direction) < 0.0 { [right, left] } else { [left, right] };
-            stack[waiting] = far;
-            stack[waiting + 1] = near;
-            waiting += 2;
+            stack[stack_size] = far;
+            stack[stack_size + 1] = near;
+            stack_size += 2;
         }
     }
 }
 
-/// Twice the centre of a box; infinite where that overflows.
-fn center(node: &Node) -> Vec3 {
+/// Twice the centre of a box, infinite where that overflows; used only to order children.
+fn doubled_center(node: &Node) -> Vec3 {
     Vec3::from_array(node.min) + Vec3::from_array(node.max)
 }

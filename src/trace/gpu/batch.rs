@@ -1,4 +1,4 @@
-//! Batches of rays: written to a buffer, traced, and the answers read back; or from one buffer of the application's to another.
+//! Ray batches: upload, trace, read back; or trace between two buffers of the application.
 
 use bytemuck::Pod;
 use wgpu::BufferUsages;
@@ -10,19 +10,19 @@ use crate::Result;
 use crate::device::layout::{HitRecord, RayBatch, RayRecord};
 use crate::error::{Resource, require, require_within};
 
-/// What fails if this does.
+/// Operation named in errors.
 pub(super) const OPERATION: &str = "tracing rays";
 
-/// Rays traced by one dispatch: a small part of a second's work for any GPU, since drivers end longer ones.
+/// Rays per dispatch, so that it stays far below the driver's watchdog timeout (about 2 s).
 const RAYS_PER_DISPATCH: usize = 1 << 18;
 
-/// Rays of a workgroup.
+/// Rays per workgroup, as in `closest_hits.wgsl` and `any_hits.wgsl`.
 const WORKGROUP_RAYS: u32 = 64;
 
-/// The most workgroups of a dispatch.
+/// Greatest number of workgroups per dispatch.
 pub(super) const MAX_WORKGROUPS: u32 = RAYS_PER_DISPATCH as u32 / WORKGROUP_RAYS;
 
-/// Where the rays of a batch are bound: group 1 of the entry points `closest_hits` and `any_hits`.
+/// Layout of bind group 1 of the entry points `closest_hits` and `any_hits`: parameters, rays, results.
 pub(super) fn layout(context: &Context) -> wgpu::BindGroupLayout {
     context.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
         label: Some("batch"),
@@ -43,48 +43,48 @@ pub(super) fn layout(context: &Context) -> wgpu::BindGroupLayout {
     })
 }
 
-/// The most rays of one dispatch: rays and hits are of one size.
+/// Greatest number of rays per dispatch whose rays, and hits of the same size, fit a binding.
 fn max_rays_per_dispatch(context: &Context) -> usize {
     (largest_buffer(&context.limits) as usize / size_of::<RayRecord>()).clamp(1, RAYS_PER_DISPATCH)
 }
 
-/// The buffers of a batch, as large as the largest yet.
+/// The buffers of a batch. Grown to the largest batch so far.
 #[derive(Debug)]
 pub(super) struct BatchBuffers {
-    /// Rays that there is room for.
+    /// Capacity in rays.
     capacity: usize,
     params: wgpu::Buffer,
     rays: wgpu::Buffer,
-    answers: wgpu::Buffer,
+    results: wgpu::Buffer,
     staging: wgpu::Buffer,
     bind_group: wgpu::BindGroup,
 }
 
 impl BatchBuffers {
-    /// Room for `rays` rays, or for as many as one dispatch traces and a buffer holds.
+    /// Allocates buffers for `rays` rays, or for as many as one dispatch traces.
     pub(super) fn new(context: &Context, layout: &wgpu::BindGroupLayout, rays: usize) -> Self {
         let capacity = rays.next_power_of_two().min(max_rays_per_dispatch(context));
         let buffer = |label, stride, usage| context.buffer(label, (capacity * stride) as u64, usage);
         let params =
             context.buffer("batch", size_of::<RayBatch>() as u64, BufferUsages::UNIFORM | BufferUsages::COPY_DST);
         let rays = buffer("rays", size_of::<RayRecord>(), BufferUsages::STORAGE | BufferUsages::COPY_DST);
-        let answers = buffer("answers", size_of::<HitRecord>(), BufferUsages::STORAGE | BufferUsages::COPY_SRC);
+        let results = buffer("results", size_of::<HitRecord>(), BufferUsages::STORAGE | BufferUsages::COPY_SRC);
         let staging = context.staging((capacity * size_of::<HitRecord>()) as u64);
-        let bind_group = bind(context, layout, &params, [rays.as_entire_binding(), answers.as_entire_binding()]);
-        Self { capacity, params, rays, answers, staging, bind_group }
+        let bind_group = bind(context, layout, &params, [rays.as_entire_binding(), results.as_entire_binding()]);
+        Self { capacity, params, rays, results, staging, bind_group }
     }
 
-    /// Whether a batch of that many rays goes through without waiting more often than it must.
+    /// Whether the buffers are large enough to trace `rays` rays in the fewest submissions.
     pub(super) fn can_hold(&self, context: &Context, rays: usize) -> bool {
         rays.min(max_rays_per_dispatch(context)) <= self.capacity
     }
 
-    /// Bytes of GPU memory that the buffers take.
+    /// GPU memory of the buffers, in bytes.
     pub(super) fn bytes(&self) -> u64 {
-        [&self.params, &self.rays, &self.answers, &self.staging].into_iter().map(wgpu::Buffer::size).sum()
+        [&self.params, &self.rays, &self.results, &self.staging].into_iter().map(wgpu::Buffer::size).sum()
     }
 
-    /// The answer, a `T`, of `pipeline` to each ray.
+    /// Traces rays and reads back one `T` per ray.
     pub(super) fn trace<T: Pod>(
         &self,
         context: &Context,
@@ -93,56 +93,74 @@ impl BatchBuffers {
         rays: &[RayRecord],
         ray_mask: u32,
     ) -> Result<Vec<T>> {
-        let mut answers = Vec::with_capacity(rays.len());
+        let mut results = Vec::with_capacity(rays.len());
         for rays in rays.chunks(self.capacity) {
+            // Write the parameters and the rays.
             let count = rays.len() as u32;
             let params = RayBatch::new(0, count, ray_mask);
             context.queue.write_buffer(&self.params, 0, bytemuck::bytes_of(&params));
             context.queue.write_buffer(&self.rays, 0, bytemuck::cast_slice(rays));
+            // Trace, and copy the results to the staging buffer.
             let bytes = size_of::<T>() as u64 * u64::from(count);
             context.submit(OPERATION, |encoder| {
                 dispatch(encoder, pipeline, scene, &self.bind_group, [(0, count)]);
-                encoder.copy_buffer_to_buffer(&self.answers, 0, &self.staging, 0, bytes);
+                encoder.copy_buffer_to_buffer(&self.results, 0, &self.staging, 0, bytes);
             })?;
+            // Wait, and read the results.
             context.read(OPERATION, &self.staging, bytes, |bytes| {
-                answers.extend(bytes.chunks_exact(size_of::<T>()).map(bytemuck::pod_read_unaligned::<T>));
+                results.extend(bytes.chunks_exact(size_of::<T>()).map(bytemuck::pod_read_unaligned::<T>));
             })?;
         }
-        Ok(answers)
+        Ok(results)
     }
 }
 
-/// Rays and their answers in buffers of the application's, on the device that traces.
+/// Rays and their results in buffers of the application, on the device that traces
+/// ([`wgpu_device`](super::GpuTracer::wgpu_device)). Made by [`new`](Self::new).
 #[derive(Clone, Copy, Debug)]
+#[non_exhaustive]
 pub struct RayBuffers<'a> {
-    /// [`RayRecord`]s, relative to the [render origin](crate::Renderer::render_origin), one after the other. A storage buffer.
+    /// `count` tightly packed [`RayRecord`]s from offset 0, positions relative to the
+    /// [render origin](crate::Renderer::render_origin). Needs the usage `STORAGE`.
     pub rays: &'a wgpu::Buffer,
-    /// Where the answers are written, one after the other: a [`HitRecord`] for each ray, or a `u32`. A storage buffer.
+    /// Written from offset 0: a [`HitRecord`] per ray for closest hits, a `u32` per ray for any hits. Needs the usage
+    /// `STORAGE`.
     pub results: &'a wgpu::Buffer,
-    /// How many rays there are.
+    /// Number of rays.
     pub count: u32,
     /// Instances whose mask shares no bit with this are not hit.
     pub ray_mask: u32,
 }
 
-impl RayBuffers<'_> {
-    /// Fails unless both buffers hold what they are said to, and a binding holds that.
-    pub(super) fn check(&self, limits: &wgpu::Limits, answer_size: usize) -> Result<()> {
+impl<'a> RayBuffers<'a> {
+    /// `count` rays, and a buffer for as many results. They can hit all instances but those whose mask is 0.
+    pub fn new(rays: &'a wgpu::Buffer, results: &'a wgpu::Buffer, count: u32) -> Self {
+        Self { rays, results, count, ray_mask: u32::MAX }
+    }
+
+    /// Lets the rays hit only instances whose mask shares a bit with `ray_mask`.
+    #[must_use]
+    pub fn with_ray_mask(self, ray_mask: u32) -> Self {
+        Self { ray_mask, ..self }
+    }
+
+    /// Checks buffer sizes, usages and the binding limit.
+    pub(super) fn check(&self, limits: &wgpu::Limits, result_size: usize) -> Result<()> {
         let limit = largest_buffer(limits);
         for (binding, size, buffer, stride) in [
             (Resource::RayBinding, Resource::RayBuffer, self.rays, size_of::<RayRecord>()),
-            (Resource::ResultBinding, Resource::ResultBuffer, self.results, answer_size),
+            (Resource::ResultBinding, Resource::ResultBuffer, self.results, result_size),
         ] {
             let needed = u64::from(self.count) * stride as u64;
             require_within(binding, needed, limit)?;
             require_within(size, needed, buffer.size())?;
             let is_storage = buffer.usage().contains(BufferUsages::STORAGE);
-            require(is_storage, "the usage of a buffer of rays or answers", &buffer.usage(), "STORAGE")?;
+            require(is_storage, "the usage of a buffer of rays or results", &buffer.usage(), "STORAGE")?;
         }
         Ok(())
     }
 
-    /// Records that the rays are traced.
+    /// Records dispatches that trace the rays.
     pub(super) fn record(
         &self,
         context: &Context,
@@ -150,8 +168,9 @@ impl RayBuffers<'_> {
         encoder: &mut wgpu::CommandEncoder,
         pipeline: &wgpu::ComputePipeline,
         scene: &wgpu::BindGroup,
-        answer_size: usize,
+        result_size: usize,
     ) {
+        // Lay out the parameters of each dispatch, a stride apart.
         let stride =
             size_of::<RayBatch>().next_multiple_of(context.limits.min_uniform_buffer_offset_alignment as usize);
         let (mut contents, mut dispatches) = (Vec::new(), Vec::new());
@@ -166,31 +185,34 @@ impl RayBuffers<'_> {
             contents: &contents,
             usage: BufferUsages::UNIFORM,
         });
+        // Bind the parts of the buffers that are in use, and dispatch.
         let whole = |buffer, stride: usize| {
             let size = wgpu::BufferSize::new(u64::from(self.count) * stride as u64);
             wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer, offset: 0, size })
         };
-        let bound = [whole(self.rays, size_of::<RayRecord>()), whole(self.results, answer_size)];
+        let bound = [whole(self.rays, size_of::<RayRecord>()), whole(self.results, result_size)];
         let bind_group = bind(context, layout, &params, bound);
         dispatch(encoder, pipeline, scene, &bind_group, dispatches);
     }
 }
 
-/// Binds one dispatch's parameters, which one being told by a dynamic offset, the rays and the answers.
+/// Creates the bind group: parameters (a dynamic offset selects the dispatch), rays, results.
 fn bind(
     context: &Context,
     layout: &wgpu::BindGroupLayout,
     params: &wgpu::Buffer,
-    [rays, answers]: [wgpu::BindingResource<'_>; 2],
+    [rays, results]: [wgpu::BindingResource<'_>; 2],
 ) -> wgpu::BindGroup {
     let size = wgpu::BufferSize::new(size_of::<RayBatch>() as u64);
-    let one = wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer: params, offset: 0, size });
-    let entries: Vec<_> =
-        (0..).zip([one, rays, answers]).map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource }).collect();
+    let dispatch_params = wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer: params, offset: 0, size });
+    let entries: Vec<_> = (0..)
+        .zip([dispatch_params, rays, results])
+        .map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource })
+        .collect();
     context.device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some("batch"), layout, entries: &entries })
 }
 
-/// Records dispatches: of each, where its parameters are and how many rays it traces.
+/// Records dispatches, each given by the offset of its parameters and its number of rays.
 fn dispatch(
     encoder: &mut wgpu::CommandEncoder,
     pipeline: &wgpu::ComputePipeline,

@@ -1,5 +1,5 @@
-//! A device and its queue, and what makes their failures errors: wgpu reports most of them beside the call that
-//! caused them, and panics where nobody asked.
+//! Device and queue, with wgpu's asynchronous errors turned into `Result`s of the call that caused them, and its panics
+//! on device loss caught.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
@@ -11,16 +11,16 @@ use super::adapter::describe;
 use crate::trace::DeviceInfo;
 use crate::{Error, Result};
 
-/// A device, its queue, and what is known of both.
+/// Device, queue, limits and error state.
 #[derive(Debug)]
 pub(super) struct Context {
     pub(super) device: wgpu::Device,
     pub(super) queue: wgpu::Queue,
     pub(super) info: DeviceInfo,
     pub(super) limits: wgpu::Limits,
-    /// How the device was lost, if it was: nothing works from then on.
+    /// Why the device was lost, if it was; every later operation fails.
     lost_reason: Arc<OnceLock<String>>,
-    /// The first thing that the driver said outside any call of ours and that no call has reported yet.
+    /// First uncaptured error not yet reported by a call.
     uncaptured_error: Arc<Mutex<Option<wgpu::Error>>>,
 }
 
@@ -31,43 +31,45 @@ impl Context {
         Self { device, queue, info, limits, lost_reason: Arc::default(), uncaptured_error: Arc::default() }
     }
 
-    /// Listens for errors that no scope catches and for the loss of the device. Each device has one listener: only for
-    /// devices of our own, since an application may have set its own.
+    /// Installs callbacks for errors that no scope captures and for the loss of the device. A device has one callback
+    /// of each kind: only for devices that this tracer has opened, since an application may have set its own.
     pub(super) fn install_error_callbacks(&self) {
-        let complaint = Arc::clone(&self.uncaptured_error);
+        let uncaptured_error = Arc::clone(&self.uncaptured_error);
         self.device.on_uncaptured_error(Arc::new(move |error| {
-            complaint.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
+            uncaptured_error.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
         }));
-        let loss = Arc::clone(&self.lost_reason);
-        self.device.set_device_lost_callback(move |reason, words| {
-            let _ = loss.set(one_line(&format!("{reason:?} {words}")));
+        let lost_reason = Arc::clone(&self.lost_reason);
+        self.device.set_device_lost_callback(move |reason, message| {
+            let _ = lost_reason.set(one_line(&format!("{reason:?} {message}")));
         });
     }
 
-    /// Does `work` and returns what it returned, or what the driver said: of it, or, once, of something before that nobody
-    /// heard.
+    /// Runs `work` inside wgpu error scopes; returns its result, or the first captured error, or an earlier uncaptured
+    /// one.
     pub(super) fn with_error_scopes<T>(&self, during: &'static str, work: impl FnOnce() -> Result<T>) -> Result<T> {
+        // Run the work inside a scope for each kind of error.
         let [validation, memory, internal] = [ErrorFilter::Validation, ErrorFilter::OutOfMemory, ErrorFilter::Internal]
             .map(|filter| self.device.push_error_scope(filter));
         let outcome = work();
         let [internal, memory, validation] =
             [internal, memory, validation].map(|scope| pollster::block_on(scope.pop()));
-        let unheard = self.uncaptured_error.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let unreported = self.uncaptured_error.lock().unwrap_or_else(PoisonError::into_inner).take();
+        // A lost device takes precedence over all else.
         if let Some(message) = self.lost_reason.get() {
             return Err(Error::DeviceLost { during, message: message.clone() });
         }
         if matches!(outcome, Err(Error::DeviceLost { .. })) {
-            // A device refuses work that refers to what it could not make, too: then it still takes other work.
+            // An invalid resource also makes a submission fail; an empty submission tells that from a lost device.
             self.submit(during, |_| {})?;
         }
-        // Want of memory first: what could not be made for it is then invalid.
-        match memory.or(internal).or(validation).or(unheard) {
+        // Out of memory takes precedence: it causes the validation errors that follow.
+        match memory.or(internal).or(validation).or(unreported) {
             Some(error) => Err(failure(during, &error)),
             None => outcome,
         }
     }
 
-    /// Waits until the GPU has done all that it was given.
+    /// Blocks until the GPU has finished all submitted work.
     pub(super) fn wait(&self, during: &'static str) -> Result<()> {
         match self.poll(during, wgpu::PollType::wait_indefinitely())? {
             Ok(_) => Ok(()),
@@ -75,7 +77,8 @@ impl Context {
         }
     }
 
-    /// Waits for the GPU and passes the first `size` bytes of `staging`, a [`staging`](Self::staging) buffer, to `take`.
+    /// Blocks until the GPU has finished and passes the first `size` bytes of `staging`, a [`staging`](Self::staging)
+    /// buffer, to `take`.
     pub(super) fn read<T>(
         &self,
         during: &'static str,
@@ -85,10 +88,10 @@ impl Context {
     ) -> Result<T> {
         let failed = |message: String| Error::Gpu { during, message };
         let mapped = Arc::new(OnceLock::new());
-        let answer = Arc::clone(&mapped);
+        let on_mapped = Arc::clone(&mapped);
         let slice = staging.slice(..size);
         slice.map_async(wgpu::MapMode::Read, move |result| {
-            let _ = answer.set(result);
+            let _ = on_mapped.set(result);
         });
         self.wait(during)?;
         match mapped.get() {
@@ -103,7 +106,7 @@ impl Context {
         Ok(taken)
     }
 
-    /// A buffer that the GPU copies to and [`read`](Self::read) reads from.
+    /// Creates a buffer to which the GPU copies and from which [`read`](Self::read) reads.
     pub(super) fn staging(&self, size: u64) -> wgpu::Buffer {
         self.buffer("ropewalk readback", size, BufferUsages::MAP_READ | BufferUsages::COPY_DST)
     }
@@ -117,25 +120,26 @@ impl Context {
         })
     }
 
-    /// Records commands and hands them to the GPU.
+    /// Records commands and submits them.
     pub(super) fn submit(&self, during: &'static str, record: impl FnOnce(&mut wgpu::CommandEncoder)) -> Result<()> {
         let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         record(&mut encoder);
         let submission_index = Some(self.queue.submit([encoder.finish()]));
-        // A lost device takes nothing and says so only if waited for; without patience a wait costs nothing.
+        // A zero-timeout poll detects a lost device without blocking.
         match self.poll(during, wgpu::PollType::Wait { submission_index, timeout: Some(Duration::ZERO) })? {
             Err(wgpu::PollError::WrongSubmissionIndex(..)) => Err(lost(during)),
             Ok(_) | Err(wgpu::PollError::Timeout) => Ok(()),
         }
     }
 
+    /// Polls the device; a lost one is [`Error::DeviceLost`].
     fn poll(
         &self,
         during: &'static str,
-        patience: wgpu::PollType,
+        poll_type: wgpu::PollType,
     ) -> Result<Result<wgpu::PollStatus, wgpu::PollError>> {
         // wgpu 30 panics when the device is lost while it waits.
-        catch_unwind(AssertUnwindSafe(|| self.device.poll(patience))).map_err(|_| lost(during))
+        catch_unwind(AssertUnwindSafe(|| self.device.poll(poll_type))).map_err(|_| lost(during))
     }
 }
 
@@ -154,12 +158,12 @@ fn failure(during: &'static str, error: &wgpu::Error) -> Error {
     }
 }
 
-/// An error and what caused it.
+/// Formats an error and its causes.
 fn chain(error: &dyn std::error::Error) -> String {
     let causes = std::iter::successors(error.source(), |error| error.source());
-    causes.fold(error.to_string(), |words, cause| format!("{words}: {cause}"))
+    causes.fold(error.to_string(), |message, cause| format!("{message}: {cause}"))
 }
 
-fn one_line(words: &str) -> String {
-    words.split_whitespace().collect::<Vec<_>>().join(" ")
+fn one_line(message: &str) -> String {
+    message.split_whitespace().collect::<Vec<_>>().join(" ")
 }

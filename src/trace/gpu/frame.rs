@@ -1,4 +1,4 @@
-//! The images of a frame, which stay on the GPU until they are read.
+//! The textures of a frame, which stay on the GPU until they are read, and the dispatches that write them.
 
 use bytemuck::Pod;
 use wgpu::{BufferUsages, TextureFormat, TextureUsages};
@@ -13,31 +13,31 @@ use crate::trace::FrameRequest;
 use crate::trace::frame_buffer::{AovBuffers, FrameBuffer};
 use crate::trace::kernel::max_rays_per_pixel;
 
-/// What fails if a frame cannot be traced.
+/// Operation named in errors: tracing a frame.
 pub(super) const TRACING: &str = "tracing the frame";
-/// What fails if it cannot be read.
+/// Operation named in errors: reading a frame.
 pub(super) const READING: &str = "reading the frame";
 
-/// The most rays that the pixels of one dispatch may need together. Drivers end a dispatch that takes seconds: a GPU that
-/// traces ten million rays a second, a weak one, takes less than one for these.
+/// Budget of rays per dispatch: under one second on a GPU with 10 Mray/s, a slow one. Drivers abort dispatches of
+/// seconds.
 const RAYS_PER_DISPATCH: u64 = 1 << 23;
 
-/// The most pixels that one dispatch traces, however few rays they need: those may go through large scenes.
+/// Cap on pixels per dispatch, as rays in large scenes are slow.
 const PIXELS_PER_DISPATCH: u64 = 1 << 18;
 
-/// Rows of a workgroup: a dispatch traces whole workgroups.
+/// Rows of pixels per workgroup; a dispatch traces whole workgroups.
 const WORKGROUP_ROWS: u32 = 8;
 
-/// Columns of a workgroup.
+/// Columns of pixels per workgroup.
 const WORKGROUP_COLUMNS: u32 = 8;
 
-/// The most bytes that are read back in one go.
-const READ_BYTES: u64 = 64 << 20;
+/// Greatest size of the staging buffer for reading back, in bytes.
+const MAX_STAGING_BYTES: u64 = 64 << 20;
 
-/// Every output is four 32-bit numbers a pixel.
+/// Bytes per pixel of every output: four 32-bit numbers.
 const PIXEL_BYTES: u32 = 16;
 
-/// Where the outputs of a frame are bound: group 1 of the entry points that render.
+/// Layout of bind group 1 of the entry points that render: parameters and output textures.
 pub(super) fn layout(context: &Context) -> wgpu::BindGroupLayout {
     let output = |binding, format| wgpu::BindGroupLayoutEntry {
         binding,
@@ -69,7 +69,7 @@ pub(super) fn layout(context: &Context) -> wgpu::BindGroupLayout {
     })
 }
 
-/// Fails if no image can be that large.
+/// Checks a frame's size against the device's limit on textures and the limit on pixels of any image.
 pub(super) fn check_size([width, height]: [u32; 2], limits: &wgpu::Limits) -> Result<()> {
     let limit = limits.max_texture_dimension_2d;
     require_within(Resource::ImageWidth, width.into(), limit.into())?;
@@ -78,7 +78,7 @@ pub(super) fn check_size([width, height]: [u32; 2], limits: &wgpu::Limits) -> Re
     Ok(())
 }
 
-/// The outputs of a frame of one size.
+/// The output textures of frames of one size, with what their dispatches bind.
 #[derive(Debug)]
 pub(super) struct FrameTextures {
     width: u32,
@@ -87,22 +87,22 @@ pub(super) struct FrameTextures {
     color: wgpu::Texture,
     normal_depth: wgpu::Texture,
     ids: wgpu::Texture,
-    /// The parameters of each dispatch, `stride` bytes apart: room for as many as there can be.
+    /// Parameters of each dispatch, `stride` bytes apart, for the greatest number of dispatches.
     params: wgpu::Buffer,
     stride: usize,
     bind_group: wgpu::BindGroup,
 }
 
-/// One dispatch of a frame.
+/// One dispatch of a frame: a band of rows.
 struct Band {
-    /// Where its parameters are.
+    /// Byte offset of its parameters.
     offset: u32,
-    /// Across and down.
+    /// Workgroups per row and per column.
     workgroups: [u32; 2],
 }
 
 impl FrameTextures {
-    /// Textures of that size, neither of which is 0; of one pixel for AOVs that are not wanted.
+    /// Allocates the textures; `width` and `height` are not 0; AOV textures are 1 x 1 if not requested.
     pub(super) fn new(
         context: &Context,
         layout: &wgpu::BindGroupLayout,
@@ -135,8 +135,8 @@ impl FrameTextures {
         Self { width, height, aovs, color, normal_depth, ids, params, stride, bind_group }
     }
 
-    /// Whether a frame of that kind fits here.
-    pub(super) fn serves(&self, size: [u32; 2], aovs: bool) -> bool {
+    /// Whether these textures can be reused for such a frame.
+    pub(super) fn matches(&self, size: [u32; 2], aovs: bool) -> bool {
         [self.width, self.height] == size && self.aovs == aovs
     }
 
@@ -144,14 +144,14 @@ impl FrameTextures {
         &self.color
     }
 
-    /// Bytes of GPU memory that the textures take.
+    /// GPU memory of the textures, in bytes.
     pub(super) fn bytes(&self) -> u64 {
         let pixels = |texture: &wgpu::Texture| u64::from(texture.width()) * u64::from(texture.height());
         (pixels(&self.color) + pixels(&self.normal_depth) + pixels(&self.ids)) * u64::from(PIXEL_BYTES)
     }
 
-    /// Has the frame traced, band after band of rows. A pipeline that `is_new` is dispatched once before, tracing nothing,
-    /// for the driver to compile it: the time of the frame is then that of tracing.
+    /// Dispatches the frame in bands of rows. A new pipeline first gets an empty dispatch, so that driver compilation
+    /// is not part of the measured time.
     pub(super) fn trace(
         &self,
         context: &Context,
@@ -168,10 +168,13 @@ impl FrameTextures {
             pass.set_bind_group(1, &self.bind_group, &[band.offset]);
             pass.dispatch_workgroups(band.workgroups[0], band.workgroups[1], 1);
         };
+        // Write the parameters of all dispatches.
         let bands = self.write_params(context, request);
+        // Have the driver compile a new pipeline by an empty dispatch.
         if is_new {
             context.submit(TRACING, |encoder| dispatch(encoder, &Band { offset: 0, workgroups: [1, 1] }, None))?;
         }
+        // Submit band by band; the first and the last write the timestamps.
         for (i, band) in bands.iter().enumerate() {
             let [is_first, is_last] = [i == 0, i + 1 == bands.len()];
             context.submit(TRACING, |encoder| {
@@ -184,21 +187,22 @@ impl FrameTextures {
         Ok(())
     }
 
-    /// Writes the parameters of each dispatch: first those of one that traces nothing, then those of the bands.
+    /// Writes the parameters of each dispatch. Slot 0: an empty dispatch (`first_row` = height); then one slot per
+    /// band.
     fn write_params(&self, context: &Context, request: &FrameRequest) -> Vec<Band> {
         let rows = band_rows(self.width, max_rays_of_pixel(request));
         let mut bytes = Vec::new();
-        let mut add = |first_row| {
+        let mut add_slot = |first_row| {
             let offset = bytes.len();
             bytes.extend_from_slice(bytemuck::bytes_of(&FrameParams { first_row, ..request.params }));
             bytes.resize(offset + self.stride, 0);
             offset as u32
         };
-        add(self.height);
+        add_slot(self.height);
         let bands = (0..self.height).step_by(rows as usize).map(|first_row| {
             let rows = rows.min(self.height - first_row);
             Band {
-                offset: add(first_row),
+                offset: add_slot(first_row),
                 workgroups: [self.width.div_ceil(WORKGROUP_COLUMNS), rows.div_ceil(WORKGROUP_ROWS)],
             }
         });
@@ -207,7 +211,7 @@ impl FrameTextures {
         bands
     }
 
-    /// Copies the frame from the GPU.
+    /// Reads the frame back; blocks until it is done.
     pub(super) fn read(&self, context: &Context) -> Result<FrameBuffer> {
         let color = self.read_texture(context, &self.color)?;
         let aovs = match self.aovs {
@@ -220,21 +224,24 @@ impl FrameTextures {
         Ok(FrameBuffer { width: self.width, height: self.height, color, aovs })
     }
 
-    /// A texture's pixels, row by row. The GPU pads each row, and a large image is read in parts.
+    /// Reads a texture's pixels, row by row. The GPU pads each row, and a large image is read in parts.
     fn read_texture<T: Pod>(&self, context: &Context, texture: &wgpu::Texture) -> Result<Vec<[T; 4]>> {
-        let row = u64::from(self.width * PIXEL_BYTES);
-        let padded = row.next_multiple_of(u64::from(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT));
-        let rows = (READ_BYTES.min(context.limits.max_buffer_size) / padded).clamp(1, u64::from(self.height)) as u32;
+        let row_bytes = u64::from(self.width * PIXEL_BYTES);
+        let padded_bytes = row_bytes.next_multiple_of(u64::from(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT));
+        let rows = (MAX_STAGING_BYTES.min(context.limits.max_buffer_size) / padded_bytes)
+            .clamp(1, u64::from(self.height)) as u32;
+        // Read as many rows at a time as the staging buffer holds.
         let mut pixels = Vec::with_capacity(self.width as usize * self.height as usize);
         context.with_error_scopes(READING, || {
-            let staging = context.staging(padded * u64::from(rows));
+            let staging = context.staging(padded_bytes * u64::from(rows));
             for y in (0..self.height).step_by(rows as usize) {
                 let rows = rows.min(self.height - y);
-                context.submit(READING, |encoder| copy_rows(encoder, texture, y, rows, &staging, padded as u32))?;
-                context.read(READING, &staging, padded * u64::from(rows), |bytes| {
-                    for line in bytes.chunks_exact(padded as usize) {
+                context
+                    .submit(READING, |encoder| copy_rows(encoder, texture, y, rows, &staging, padded_bytes as u32))?;
+                context.read(READING, &staging, padded_bytes * u64::from(rows), |bytes| {
+                    for row in bytes.chunks_exact(padded_bytes as usize) {
                         pixels.extend(
-                            line[..row as usize]
+                            row[..row_bytes as usize]
                                 .chunks_exact(PIXEL_BYTES as usize)
                                 .map(bytemuck::pod_read_unaligned::<[T; 4]>),
                         );
@@ -247,7 +254,7 @@ impl FrameTextures {
     }
 }
 
-/// Binds one dispatch's parameters, which one being told by a dynamic offset, and the outputs.
+/// Creates the bind group: parameters (a dynamic offset selects the dispatch), output textures.
 fn bind(
     context: &Context,
     layout: &wgpu::BindGroupLayout,
@@ -255,15 +262,16 @@ fn bind(
     outputs: [&wgpu::TextureView; 3],
 ) -> wgpu::BindGroup {
     let size = wgpu::BufferSize::new(size_of::<FrameParams>() as u64);
-    let one = wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer: params, offset: 0, size });
+    let dispatch_params = wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer: params, offset: 0, size });
     let outputs = outputs.map(wgpu::BindingResource::TextureView);
     let entries: Vec<_> = (0..)
-        .zip(std::iter::once(one).chain(outputs))
+        .zip(std::iter::once(dispatch_params).chain(outputs))
         .map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource })
         .collect();
     context.device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some("frame"), layout, entries: &entries })
 }
 
+/// Records the copy of `rows` rows of a texture, from row `y` on, to a staging buffer.
 fn copy_rows(
     encoder: &mut wgpu::CommandEncoder,
     texture: &wgpu::Texture,
@@ -272,7 +280,7 @@ fn copy_rows(
     staging: &wgpu::Buffer,
     bytes_per_row: u32,
 ) {
-    let from = wgpu::TexelCopyTextureInfo {
+    let source = wgpu::TexelCopyTextureInfo {
         texture,
         mip_level: 0,
         origin: wgpu::Origin3d { x: 0, y, z: 0 },
@@ -281,25 +289,25 @@ fn copy_rows(
     let layout =
         wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(bytes_per_row), rows_per_image: Some(rows) };
     let size = wgpu::Extent3d { width: texture.width(), height: rows, depth_or_array_layers: 1 };
-    encoder.copy_texture_to_buffer(from, wgpu::TexelCopyBufferInfo { buffer: staging, layout }, size);
+    encoder.copy_texture_to_buffer(source, wgpu::TexelCopyBufferInfo { buffer: staging, layout }, size);
 }
 
-/// The most rays that a pixel may need: those of its paths, and for each a shadow ray to every light.
+/// Greatest number of rays that a pixel may need: those of its ray tree, and for each a shadow ray to every light.
 fn max_rays_of_pixel(request: &FrameRequest) -> u64 {
     let lights = if request.needs.contains(Needs::LIGHTS) { request.params.light_count } else { 0 };
     u64::from(max_rays_per_pixel(request.params.max_depth, request.needs)) * (1 + u64::from(lights))
 }
 
-/// Rows that one dispatch traces: whole workgroups, and at least one even where that exceeds the budget, as it does for
-/// wide images of many lights.
-fn band_rows(width: u32, rays_of_pixel: u64) -> u32 {
-    let pixels = PIXELS_PER_DISPATCH.min(RAYS_PER_DISPATCH / rays_of_pixel);
+/// Rows per dispatch: whole workgroups, and at least one even where that exceeds the budget, as it does for wide images
+/// with many lights.
+fn band_rows(width: u32, rays_per_pixel: u64) -> u32 {
+    let pixels = PIXELS_PER_DISPATCH.min(RAYS_PER_DISPATCH / rays_per_pixel);
     let rows = (pixels / u64::from(width.max(1))) as u32;
     (rows / WORKGROUP_ROWS).max(1) * WORKGROUP_ROWS
 }
 
-/// The most workgroups along one side of a dispatch: those of the largest texture.
-pub(super) fn most_workgroups(limits: &wgpu::Limits) -> u32 {
+/// Greatest number of workgroups along one side of a dispatch: those of the largest texture.
+pub(super) fn max_workgroups(limits: &wgpu::Limits) -> u32 {
     limits.max_texture_dimension_2d.div_ceil(WORKGROUP_COLUMNS.min(WORKGROUP_ROWS))
 }
 

@@ -1,4 +1,4 @@
-//! The kernel's pipelines: one for each entry point and variant, made when first asked for.
+//! Cache of the kernel's compute pipelines: one per entry point and variant, created on first use.
 
 use std::collections::HashMap;
 
@@ -6,7 +6,7 @@ use super::context::Context;
 use crate::Result;
 use crate::trace::shader::{EntryPoint, KernelVariant};
 
-/// The pipelines made so far.
+/// The pipelines created so far, and the bind group layouts that they share.
 #[derive(Debug)]
 pub(super) struct Pipelines {
     pipelines: HashMap<(EntryPoint, KernelVariant), wgpu::ComputePipeline>,
@@ -15,28 +15,29 @@ pub(super) struct Pipelines {
 }
 
 impl Pipelines {
-    /// `frame` and `batch` are group 1 of the entry points that write images and of those that answer rays.
+    /// `frame` and `batch` are the layouts of group 1 of the entry points that render and of the entry points of ray
+    /// batches.
     pub(super) fn new(frame: wgpu::BindGroupLayout, batch: wgpu::BindGroupLayout) -> Self {
         Self { pipelines: HashMap::new(), frame, batch }
     }
 
-    /// Where the images of a frame are bound.
+    /// Layout of group 1 of the entry points that render.
     pub(super) fn frame_layout(&self) -> &wgpu::BindGroupLayout {
         &self.frame
     }
 
-    /// Where the rays of a batch are bound.
+    /// Layout of group 1 of the entry points of ray batches.
     pub(super) fn batch_layout(&self) -> &wgpu::BindGroupLayout {
         &self.batch
     }
 
-    /// How many there are.
+    /// Number of compiled pipelines.
     pub(super) fn len(&self) -> usize {
         self.pipelines.len()
     }
 
-    /// The pipeline, and whether it is new: drivers compile a shader when it is first dispatched. `scene` is the layout of
-    /// group 0.
+    /// The pipeline of a variant, and whether it is new: drivers may compile a shader only when it is first dispatched.
+    /// `scene` is the layout of group 0.
     pub(super) fn pipeline(
         &mut self,
         context: &Context,
@@ -47,12 +48,12 @@ impl Pipelines {
         if let Some(pipeline) = self.pipelines.get(&(entry_point, variant)) {
             return Ok((pipeline.clone(), false));
         }
-        let own = match entry_point {
+        let own_group = match entry_point {
             EntryPoint::Render | EntryPoint::RenderAovs => &self.frame,
             EntryPoint::ClosestHits | EntryPoint::AnyHits => &self.batch,
         };
         let pipeline = context.with_error_scopes("compiling the kernel", || {
-            Ok(compile(context, [Some(scene), Some(own)], entry_point, variant))
+            Ok(compile(context, [Some(scene), Some(own_group)], entry_point, variant))
         })?;
         self.pipelines.insert((entry_point, variant), pipeline.clone());
         Ok((pipeline, true))

@@ -1,4 +1,5 @@
-//! Whether a driver runs long loops to their end: twin of `shaders/probe.wgsl`, which says why some do not.
+//! Start-up test for drivers that silently stop long shader loops (llvmpipe of Mesa 22 after 65,535 iterations). Twin
+//! of `shaders/probe.wgsl`.
 
 use bytemuck::{Pod, Zeroable};
 use wgpu::BufferUsages;
@@ -7,7 +8,7 @@ use wgpu::util::DeviceExt;
 use super::context::Context;
 use crate::{Error, Result};
 
-/// How often an invocation goes round its loops: `outer * inner` nested turns, then `after`.
+/// Loop trip counts of an invocation: `outer * inner` nested iterations, then `after` in a second loop.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 struct LoopCounts {
@@ -17,7 +18,7 @@ struct LoopCounts {
     _pad: u32,
 }
 
-/// What an invocation counted, and a value that every turn changes.
+/// Iterations counted, and a value that depends on each.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 struct Outcome {
@@ -25,21 +26,24 @@ struct Outcome {
     value: u32,
 }
 
-/// One loop, nested loops, loops in sequence: each beyond 65,535 turns in all, none but the first in one loop.
+/// Three loop shapes (one loop, nested loops, loops in sequence), each over 65,535 iterations in total; only the first
+/// in a single loop.
 const PLAN: [LoopCounts; 3] = [
     LoopCounts { outer: 1, inner: 100_000, after: 0, _pad: 0 },
     LoopCounts { outer: 300, inner: 300, after: 0, _pad: 0 },
     LoopCounts { outer: 1, inner: 50_000, after: 50_000, _pad: 0 },
 ];
 
-const DURING: &str = "the start-up probe";
+/// Operation named in errors.
+const OPERATION: &str = "the start-up probe";
 
-/// Refuses a device that ends loops early. A few milliseconds.
+/// Runs the test; [`Error::NoGpu`] if the device ends loops early. Takes a few milliseconds.
 pub(super) fn check_loops(context: &Context) -> Result<()> {
-    let outcomes = context.with_error_scopes(DURING, || run(context))?;
+    let outcomes = context.with_error_scopes(OPERATION, || run(context))?;
     check_outcomes(&outcomes).map_err(|why| Error::NoGpu { reason: format!("{}: {why}", context.info.name) })
 }
 
+/// Dispatches the planned loops and reads back their outcomes.
 fn run(context: &Context) -> Result<Vec<Outcome>> {
     let Context { device, .. } = context;
     let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
@@ -54,8 +58,8 @@ fn run(context: &Context) -> Result<Vec<Outcome>> {
         compilation_options: wgpu::PipelineCompilationOptions::default(),
         cache: None,
     });
-    let turns = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
-        label: Some("probe turns"),
+    let loop_counts = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+        label: Some("probe loops"),
         contents: bytemuck::cast_slice(&PLAN),
         usage: BufferUsages::STORAGE,
     });
@@ -66,11 +70,11 @@ fn run(context: &Context) -> Result<Vec<Outcome>> {
         label: Some("probe"),
         layout: &pipeline.get_bind_group_layout(0),
         entries: &[
-            wgpu::BindGroupEntry { binding: 0, resource: turns.as_entire_binding() },
+            wgpu::BindGroupEntry { binding: 0, resource: loop_counts.as_entire_binding() },
             wgpu::BindGroupEntry { binding: 1, resource: outcomes.as_entire_binding() },
         ],
     });
-    context.submit(DURING, |encoder| {
+    context.submit(OPERATION, |encoder| {
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
         pass.set_pipeline(&pipeline);
         pass.set_bind_group(0, &bind_group, &[]);
@@ -78,17 +82,17 @@ fn run(context: &Context) -> Result<Vec<Outcome>> {
         drop(pass);
         encoder.copy_buffer_to_buffer(&outcomes, 0, &staging, 0, size);
     })?;
-    context.read(DURING, &staging, size, bytemuck::pod_collect_to_vec)
+    context.read(OPERATION, &staging, size, bytemuck::pod_collect_to_vec)
 }
 
-/// What is wrong with the driver that gave `outcomes`.
+/// Compares outcomes with the expected ones; the error says what the driver does wrong.
 fn check_outcomes(outcomes: &[Outcome]) -> Result<(), String> {
     let expected: Vec<Outcome> =
-        PLAN.iter().enumerate().map(|(i, turns)| run_loops(*turns, i as u32, u32::MAX)).collect();
+        PLAN.iter().enumerate().map(|(i, counts)| run_loops(*counts, i as u32, u32::MAX)).collect();
     match expected.iter().zip(outcomes).find(|(expected, outcome)| outcome.iterations < expected.iterations) {
         Some((expected, outcome)) => Err(format!(
-            "the driver ends shader loops after {} of {} turns without an error, so images would be wrong; upgrade it \
-             (Mesa 22.3 does this, 25.0 does not)",
+            "the driver ends shader loops after {} of {} iterations without an error, so images would be wrong; \
+             upgrade it (Mesa 22.3 does this, 25.0 does not)",
             outcome.iterations, expected.iterations
         )),
         None if expected != outcomes => {
@@ -98,11 +102,11 @@ fn check_outcomes(outcomes: &[Outcome]) -> Result<(), String> {
     }
 }
 
-/// What invocation `index` leaves on a driver that ends its loops after `cap` turns in all.
-fn run_loops(planned: LoopCounts, index: u32, cap: u32) -> Outcome {
-    let turns = (planned.outer * planned.inner + planned.after).min(cap);
-    let value = (0..turns).fold(index, |value, _| value.wrapping_mul(1_664_525).wrapping_add(1_013_904_223));
-    Outcome { iterations: turns, value }
+/// Expected outcome of invocation `index` if loops end after `cap` iterations.
+fn run_loops(counts: LoopCounts, index: u32, cap: u32) -> Outcome {
+    let iterations = (counts.outer * counts.inner + counts.after).min(cap);
+    let value = (0..iterations).fold(index, |value, _| value.wrapping_mul(1_664_525).wrapping_add(1_013_904_223));
+    Outcome { iterations, value }
 }
 
 #[cfg(test)]
@@ -110,7 +114,7 @@ mod tests {
     use super::*;
 
     fn outcomes(cap: u32) -> Vec<Outcome> {
-        PLAN.iter().enumerate().map(|(i, turns)| run_loops(*turns, i as u32, cap)).collect()
+        PLAN.iter().enumerate().map(|(i, counts)| run_loops(*counts, i as u32, cap)).collect()
     }
 
     #[test]
@@ -119,9 +123,9 @@ mod tests {
     }
 
     #[test]
-    fn loops_cut_short_are_refused_with_the_reason() {
+    fn loops_that_end_early_are_refused_with_the_reason() {
         let reason = check_outcomes(&outcomes(65_535)).unwrap_err();
-        assert!(reason.contains("after 65535 of 100000 turns") && reason.contains("upgrade"), "{reason}");
+        assert!(reason.contains("after 65535 of 100000 iterations") && reason.contains("upgrade"), "{reason}");
     }
 
     #[test]

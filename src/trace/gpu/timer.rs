@@ -1,4 +1,4 @@
-//! How long the GPU traced, by its own clock.
+//! GPU time of a frame, from timestamp queries.
 
 use std::time::Duration;
 
@@ -7,8 +7,8 @@ use wgpu::BufferUsages;
 use super::context::Context;
 use crate::Result;
 
-/// What fails if this does.
-const DURING: &str = "reading the trace time";
+/// Operation named in errors.
+const OPERATION: &str = "reading the trace time";
 
 const BYTES: u64 = 2 * size_of::<u64>() as u64;
 
@@ -22,7 +22,7 @@ pub(super) struct Timer {
 }
 
 impl Timer {
-    /// None where the device has no timestamps.
+    /// `None` if the device has no timestamp queries.
     pub(super) fn new(context: &Context) -> Option<Self> {
         context.device.features().contains(wgpu::Features::TIMESTAMP_QUERY).then(|| Self {
             queries: context.device.create_query_set(&wgpu::QuerySetDescriptor {
@@ -36,7 +36,7 @@ impl Timer {
         })
     }
 
-    /// What a pass must write if it is the first of a frame, the last, both or neither.
+    /// The timestamps that a pass writes if it is the first of a frame, the last, both or neither.
     pub(super) fn writes(&self, first: bool, last: bool) -> Option<wgpu::ComputePassTimestampWrites<'_>> {
         (first || last).then(|| wgpu::ComputePassTimestampWrites {
             query_set: &self.queries,
@@ -45,16 +45,16 @@ impl Timer {
         })
     }
 
-    /// Records, after the last pass, what [`read`](Self::read) will find.
+    /// Records, after the last pass, the copy of the timestamps for [`read`](Self::read).
     pub(super) fn resolve(&self, encoder: &mut wgpu::CommandEncoder) {
         encoder.resolve_query_set(&self.queries, 0..2, &self.resolved, 0);
         encoder.copy_buffer_to_buffer(&self.resolved, 0, &self.staging, 0, BYTES);
     }
 
-    /// Waits for the frame and returns its time.
+    /// Blocks until the frame is done and returns its time.
     pub(super) fn read(&self, context: &Context) -> Result<Duration> {
-        let [began, ended] = context.with_error_scopes(DURING, || {
-            context.read(DURING, &self.staging, BYTES, bytemuck::pod_read_unaligned::<[u64; 2]>)
+        let [began, ended] = context.with_error_scopes(OPERATION, || {
+            context.read(OPERATION, &self.staging, BYTES, bytemuck::pod_read_unaligned::<[u64; 2]>)
         })?;
         let ticks = ended.saturating_sub(began);
         Ok(Duration::from_nanos((ticks as f64 * f64::from(self.nanoseconds_per_tick)) as u64))

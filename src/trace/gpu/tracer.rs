@@ -1,4 +1,4 @@
-//! The executor itself: uploads, traces frames in bands, answers batches.
+//! The executor itself: uploads, traces frames in bands, traces ray batches.
 
 use std::time::Duration;
 
@@ -21,43 +21,49 @@ use crate::trace::shader::{EntryPoint, Include};
 use crate::trace::{DeviceInfo, FrameRequest, Tracer, Traversal};
 use crate::{Error, Result};
 
-/// The kernel on a GPU.
+/// Traces rays on a GPU, through wgpu.
 ///
-/// After [`Error::OutOfMemory`] and [`Error::Gpu`] a tracer can be used on: what it could not make it tries to make anew.
-/// After [`Error::DeviceLost`] every call fails so, and a new tracer must be made. An image without pixels renders as such.
+/// It keeps a copy of the [`DeviceArrays`] in GPU memory; an upload costs time in proportion to the bytes that changed.
+/// Frames are submitted in bands of rows, so that no dispatch runs into a driver's timeout.
+///
+/// After [`Error::OutOfMemory`] and [`Error::Gpu`] the tracer stays usable and recreates failed resources on the next
+/// call. After [`Error::DeviceLost`] every call fails with that error, and a new tracer must be made. A frame of width
+/// or height 0 gives an empty image.
 #[derive(Debug)]
 pub struct GpuTracer {
     context: Context,
     scene: SceneBuffers,
     pipelines: Pipelines,
     timer: Option<Timer>,
-    /// The last frame, where that has pixels and did not fail.
+    /// The last frame, if it has pixels and did not fail.
     frame: Option<FrameTextures>,
-    /// The last frame, where that has no pixels.
+    /// The last frame, if it has no pixels.
     empty_frame: Option<FrameBuffer>,
-    /// The last batch's buffers, where that did not fail.
+    /// The last batch's buffers, if it did not fail.
     batch: Option<BatchBuffers>,
 }
 
 impl GpuTracer {
-    /// Takes the best adapter there is: a discrete GPU before an integrated, virtual or other one, then, if
-    /// [`AdapterKinds::IncludingSoftware`](super::AdapterKinds::IncludingSoftware), a software renderer. Tens of milliseconds.
+    /// Opens a device on the best adapter: a discrete GPU before an integrated, virtual or other one, then, with
+    /// [`AdapterKinds::IncludingSoftware`](super::AdapterKinds::IncludingSoftware), a software renderer. Takes tens of
+    /// milliseconds.
     ///
     /// # Errors
-    /// [`Error::NoGpu`] names each adapter and why it was not taken: it is software, lacks something, or its driver
-    /// cuts long loops short.
+    /// [`Error::NoGpu`] names each adapter and why it was refused: it is a software renderer, lacks a feature or limit,
+    /// or its driver ends long shader loops early; or it says that no driver offers an adapter.
     pub fn new(options: &GpuOptions) -> Result<Self> {
         Self::with_context(adapter::open(options)?)
     }
 
-    /// Shares the application's device, so that its windows can show frames where they are.
+    /// Shares the application's device, so that its own passes can use frames, hits and the scene without a copy.
     ///
-    /// Request the device with [`required_limits`](super::required_limits) and, to know the time spent tracing,
-    /// [`wanted_features`](super::optional_features).
+    /// Request the device with [`required_limits`](super::required_limits) and, for
+    /// [`trace_time`](Tracer::trace_time), [`optional_features`](super::optional_features).
     ///
     /// # Errors
-    /// [`Error::Limit`] names the first limit of the device that is too low; [`Error::NoGpu`] says that its driver
-    /// cuts long loops short; [`Error::DeviceLost`], [`Error::OutOfMemory`] and [`Error::Gpu`] that it failed.
+    /// [`Error::Limit`] names the first limit of the device that is too low: it was requested without
+    /// `required_limits`. [`Error::NoGpu`] if its driver ends long shader loops early. [`Error::DeviceLost`],
+    /// [`Error::OutOfMemory`] and [`Error::Gpu`] if the device failed.
     pub fn from_device(device: wgpu::Device, queue: wgpu::Queue) -> Result<Self> {
         let context = Context::new(device, queue);
         adapter::check_limits(&context.limits)?;
@@ -82,10 +88,10 @@ impl GpuTracer {
             })
     }
 
-    /// Walks the arrays in another way than by default: the hits are the same. Takes effect with the next upload, which copies all.
+    /// Sets the traversal. Hits do not depend on it. Takes effect with the next upload, which copies everything.
     #[must_use]
-    pub fn with_layout(mut self, layout: Traversal) -> Self {
-        self.scene = SceneBuffers::new(&self.context, layout);
+    pub fn with_traversal(mut self, traversal: Traversal) -> Self {
+        self.scene = SceneBuffers::new(&self.context, traversal);
         self
     }
 
@@ -94,92 +100,109 @@ impl GpuTracer {
         &self.context.device
     }
 
-    /// Its queue.
+    /// The queue of the device that traces.
     pub fn wgpu_queue(&self) -> &wgpu::Queue {
         &self.context.queue
     }
 
-    /// Records into `encoder` that the closest [`HitRecord`] of each ray is found: rays and hits stay on the GPU. The scene is that of
-    /// the last upload; other passes of the encoder may write the rays and read the hits. A batch of very many rays may take
-    /// longer than a driver lets one submission run (seconds): spread those over several.
+    /// Records a closest-hit query into `encoder`: for each ray of the buffer a [`HitRecord`] is written to the
+    /// results. Rays and hits stay on the GPU; other passes of the encoder may write the rays and read the hits. The
+    /// scene is that of the last upload. A batch of very many rays may take longer than a driver lets one submission
+    /// run (seconds): split it over several submissions.
     ///
     /// # Errors
-    /// [`Error::Limit`] if the buffers are too small for their count or larger than a binding of the device;
-    /// [`Error::OutOfRange`] if one is no storage buffer; [`Error::Gpu`] if no scene was uploaded.
+    /// [`Error::Limit`] if a buffer is too small for its count of rays, or larger than a binding of the device.
+    /// [`Error::OutOfRange`] if a buffer lacks the usage `STORAGE`. [`Error::Gpu`] if no scene was uploaded.
+    /// [`Error::DeviceLost`], [`Error::OutOfMemory`] and [`Error::Gpu`] if the device failed.
     pub fn record_closest_hits(&mut self, encoder: &mut wgpu::CommandEncoder, rays: &RayBuffers<'_>) -> Result<()> {
         self.record(EntryPoint::ClosestHits, size_of::<HitRecord>(), encoder, rays)
     }
 
-    /// As [`record_closest_hits`](Self::record_closest_hits), but each answer is a `u32`: 1 if anything lets no light through, else
-    /// 0.
+    /// Records an occlusion query: as [`record_closest_hits`](Self::record_closest_hits), but each result is a `u32`, 1
+    /// if the ray hits an opaque surface in [`t_min`, `t_max`], else 0.
     ///
     /// # Errors
-    /// As there.
+    /// [`Error::Limit`] if a buffer is too small for its count of rays, or larger than a binding of the device.
+    /// [`Error::OutOfRange`] if a buffer lacks the usage `STORAGE`. [`Error::Gpu`] if no scene was uploaded.
+    /// [`Error::DeviceLost`], [`Error::OutOfMemory`] and [`Error::Gpu`] if the device failed.
     pub fn record_any_hits(&mut self, encoder: &mut wgpu::CommandEncoder, rays: &RayBuffers<'_>) -> Result<()> {
         self.record(EntryPoint::AnyHits, size_of::<u32>(), encoder, rays)
     }
 
-    /// The text with which a compute shader of the application's traces rays through the scene that was uploaded. `needs` are what
-    /// the scene [was compiled to need](crate::compile::CompileReport::needs); more only costs. While the include stays equal,
-    /// pipelines made from it serve.
-    pub fn include(&self, group: u32, needs: Needs, surfaces: bool) -> Include {
-        Include { group, surfaces, variant: self.scene.variant(needs) }
+    /// The WGSL source with which a compute shader of the application traces rays through the uploaded scene. `needs`
+    /// are those that [the scene was compiled with](crate::compile::CompileReport::needs); extra ones cost speed only.
+    /// By default the scene is bind group 0 and surfaces are left out:
+    ///
+    /// ```
+    /// # use ropewalk::{device::Needs, trace::{gpu::GpuTracer, shader::Include}};
+    /// # fn include(gpu: &GpuTracer, needs: Needs) -> Include {
+    /// gpu.include(needs).in_group(1).with_surfaces()
+    /// # }
+    /// ```
+    ///
+    /// Pipelines stay valid while this returns an equal value.
+    pub fn include(&self, needs: Needs) -> Include {
+        Include::new(self.scene.variant(needs))
     }
 
-    /// The layout of the include's bind group, for the pipeline.
+    /// The layout of the include's bind group, for the application's pipeline layout.
     pub fn include_layout(&self, include: &Include) -> wgpu::BindGroupLayout {
         SceneBuffers::include_layout(&self.context, include)
     }
 
-    /// The include's bind group. It holds the buffers that there are: make it anew after each upload, in microseconds.
+    /// The include's bind group. It references the current buffers: recreate it after each upload (microseconds).
     ///
     /// # Errors
-    /// [`Error::Gpu`] if no scene was uploaded, or its arrays are bound otherwise than when the include was made.
+    /// [`Error::Gpu`] if no scene was uploaded, or if the scene's bindings have changed since the include was made:
+    /// then call [`include`](Self::include) again and rebuild the shader. [`Error::DeviceLost`], [`Error::OutOfMemory`]
+    /// and [`Error::Gpu`] if the device failed.
     pub fn include_bind_group(&self, include: &Include) -> Result<wgpu::BindGroup> {
         self.scene.bind_include(&self.context, include)
     }
 
-    /// Bytes of GPU memory held for the scene, the last frame and batches.
+    /// GPU memory held for the scene, the last frame and ray batches, in bytes.
     pub fn memory_bytes(&self) -> u64 {
         self.scene.bytes()
             + self.frame.as_ref().map_or(0, FrameTextures::bytes)
             + self.batch.as_ref().map_or(0, BatchBuffers::bytes)
     }
 
-    /// How often the scene's buffers had to be bound anew because one of them was replaced.
+    /// Number of times the scene's bind group was recreated because a buffer was replaced.
     #[doc(hidden)]
-    pub fn bind_groups_made(&self) -> u64 {
+    pub fn bind_group_rebuilds(&self) -> u64 {
         self.scene.bind_group_rebuilds()
     }
 
-    /// How many pipelines were compiled, one for each entry point and set of needs.
+    /// Number of compiled pipelines, one per entry point and variant.
     #[doc(hidden)]
-    pub fn pipelines_made(&self) -> usize {
+    pub fn pipeline_count(&self) -> usize {
         self.pipelines.len()
     }
 
+    /// Records a batch between two buffers of the application.
     fn record(
         &mut self,
         entry_point: EntryPoint,
-        answer_size: usize,
+        result_size: usize,
         encoder: &mut wgpu::CommandEncoder,
         rays: &RayBuffers<'_>,
     ) -> Result<()> {
         let Self { context, scene, pipelines, .. } = self;
         let bound = scene.bind_group()?;
-        rays.check(&context.limits, answer_size)?;
+        rays.check(&context.limits, result_size)?;
         if rays.count == 0 {
             return Ok(());
         }
         let variant = scene.variant(BATCH_NEEDS);
         let (pipeline, _) = pipelines.pipeline(context, scene.layout(), entry_point, variant)?;
         context.with_error_scopes(batch::OPERATION, || {
-            rays.record(context, pipelines.batch_layout(), encoder, &pipeline, bound, answer_size);
+            rays.record(context, pipelines.batch_layout(), encoder, &pipeline, bound, result_size);
             Ok(())
         })
     }
 
-    fn answers<T: Pod>(&mut self, entry_point: EntryPoint, rays: &[RayRecord], ray_mask: u32) -> Result<Vec<T>> {
+    /// Traces a batch and reads back one `T` per ray.
+    fn trace_batch<T: Pod>(&mut self, entry_point: EntryPoint, rays: &[RayRecord], ray_mask: u32) -> Result<Vec<T>> {
         let Self { context, scene, pipelines, batch, .. } = self;
         let bound = scene.bind_group()?;
         if rays.is_empty() {
@@ -188,17 +211,17 @@ impl GpuTracer {
         let variant = scene.variant(BATCH_NEEDS);
         let (pipeline, _) = pipelines.pipeline(context, scene.layout(), entry_point, variant)?;
         let last = batch.take().filter(|batch| batch.can_hold(context, rays.len()));
-        let (used, answers) = context.with_error_scopes(batch::OPERATION, || {
+        let (used, results) = context.with_error_scopes(batch::OPERATION, || {
             let batch = last.unwrap_or_else(|| BatchBuffers::new(context, pipelines.batch_layout(), rays.len()));
-            let answers = batch.trace(context, &pipeline, bound, rays, ray_mask)?;
-            Ok((batch, answers))
+            let results = batch.trace(context, &pipeline, bound, rays, ray_mask)?;
+            Ok((batch, results))
         })?;
         *batch = Some(used);
-        Ok(answers)
+        Ok(results)
     }
 }
 
-/// Batches honour whatever may make a hit not count.
+/// Batch queries compile in every feature, so that culling, alpha and transmission always apply.
 const BATCH_NEEDS: Needs = Needs::all();
 
 impl Tracer for GpuTracer {
@@ -215,16 +238,18 @@ impl Tracer for GpuTracer {
         let bound = scene.bind_group()?;
         let size = [request.params.width, request.params.height];
         frame::check_size(size, &context.limits)?;
+        // A frame without pixels needs no textures.
         if size.contains(&0) {
             self.frame = None;
             self.empty_frame = Some(FrameBuffer::new(size[0], size[1], request.aovs)?);
             return Ok(());
         }
+        // Find the pipeline, and textures of the right size.
         let entry_point = if request.aovs { EntryPoint::RenderAovs } else { EntryPoint::Render };
         let variant = scene.variant(request.needs);
         let (pipeline, is_new) = pipelines.pipeline(context, scene.layout(), entry_point, variant)?;
         self.empty_frame = None;
-        let last = self.frame.take().filter(|frame| frame.serves(size, request.aovs));
+        let last = self.frame.take().filter(|frame| frame.matches(size, request.aovs));
         let frame = context.with_error_scopes(frame::TRACING, || {
             let frame =
                 last.unwrap_or_else(|| FrameTextures::new(context, pipelines.frame_layout(), size, request.aovs));
@@ -253,19 +278,19 @@ impl Tracer for GpuTracer {
             (Some(frame), _) => Ok(frame.read(&self.context)?.into_image()),
             (None, Some(empty)) => Ok(empty.clone().into_image()),
             (None, None) => self.context.with_error_scopes(frame::READING, || {
-                // It may have failed because the device was lost, which this says.
+                // Report a lost device, if that is why the last frame failed.
                 self.context.submit(frame::READING, |_| {})?;
-                Err(Error::Gpu { during: frame::READING, message: "the last one failed".into() })
+                Err(Error::Gpu { during: frame::READING, message: "the last frame failed".into() })
             }),
         }
     }
 
     fn closest_hits(&mut self, _: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> Result<Vec<HitRecord>> {
-        self.answers(EntryPoint::ClosestHits, rays, ray_mask)
+        self.trace_batch(EntryPoint::ClosestHits, rays, ray_mask)
     }
 
     fn any_hits(&mut self, _: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> Result<Vec<bool>> {
-        let answers: Vec<u32> = self.answers(EntryPoint::AnyHits, rays, ray_mask)?;
-        Ok(answers.into_iter().map(|answer| answer != 0).collect())
+        let results: Vec<u32> = self.trace_batch(EntryPoint::AnyHits, rays, ray_mask)?;
+        Ok(results.into_iter().map(|result| result != 0).collect())
     }
 }

@@ -1,4 +1,4 @@
-//! Assembly of WGSL: what the scene needs, the shared files, one entry point.
+//! Assembles a WGSL module: generated constants and accessors, shared files, one entry point.
 
 mod include;
 mod splits;
@@ -12,27 +12,37 @@ pub use splits::{ArraySplit, ArraySplits};
 use super::Traversal;
 use crate::device::{MAX_MIRROR_ROUGHNESS, Needs};
 
-/// The kernels.
+/// Entry points of the kernel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
 pub enum EntryPoint {
-    /// Renders the colour of each pixel.
+    /// Renders the colour of each pixel (linear radiance).
     Render,
     /// Renders each pixel with its normal, depth and identifiers.
     RenderAovs,
-    /// The closest hit of each ray of a batch.
+    /// Finds the closest hit of each ray of a batch.
     ClosestHits,
-    /// For each ray of a batch, whether it meets anything opaque.
+    /// Occlusion query: for each ray of a batch, whether an opaque surface lies between `t_min` and `t_max`.
     AnyHits,
 }
 
-/// What tells one module of an entry point from another.
+/// Specialisation of a kernel module. Made from the [`Needs`] of a scene:
+///
+/// ```
+/// use ropewalk::device::Needs;
+/// use ropewalk::trace::Traversal;
+/// use ropewalk::trace::shader::KernelVariant;
+///
+/// let variant = KernelVariant::from(Needs::LIGHTS).with_traversal(Traversal::Rope);
+/// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[non_exhaustive]
 pub struct KernelVariant {
-    /// What it can do.
+    /// Scene features compiled in.
     pub needs: Needs,
-    /// What it walks.
+    /// The traversal compiled in.
     pub traversal: Traversal,
-    /// How the arrays are bound.
+    /// How the arrays are split over bindings.
     pub splits: ArraySplits,
 }
 
@@ -43,31 +53,43 @@ impl From<Needs> for KernelVariant {
 }
 
 impl KernelVariant {
-    /// The files by which the scene is walked.
+    /// Compiles in this traversal.
+    #[must_use]
+    pub fn with_traversal(self, traversal: Traversal) -> Self {
+        Self { traversal, ..self }
+    }
+
+    /// Reads arrays that are split like this.
+    #[must_use]
+    pub fn with_splits(self, splits: ArraySplits) -> Self {
+        Self { splits, ..self }
+    }
+
+    /// The files that declare, intersect and traverse the scene.
     fn scene_files(&self) -> [&'static str; 5] {
-        let walk = match self.traversal {
+        let traversal = match self.traversal {
             Traversal::Rope => include_str!("../../../shaders/shared/rope.wgsl"),
             Traversal::Wide => include_str!("../../../shaders/shared/wide.wgsl"),
         };
         let [types, math, intersect, traverse] = SCENE;
-        [types, math, intersect, walk, traverse]
+        [types, math, intersect, traversal, traverse]
     }
 
-    /// What all files rely on: a constant for each flag of [`Needs`], `NEEDS_TEXTURES` for example (the driver's compiler drops
-    /// what none needs), and the functions that read arrays.
+    /// Generated declarations that all files rely on: a constant for each flag of [`Needs`], `NEEDS_TEXTURES` for
+    /// example, so that the driver eliminates unused branches, and the functions that read arrays.
     fn preamble(&self) -> String {
         let mut source = String::new();
         for (name, flag) in Needs::all().iter_names() {
             // Writing to a string cannot fail.
             let _ = writeln!(source, "const NEEDS_{name}: bool = {};", self.needs.contains(flag));
         }
-        // A float literal needs its point in WGSL: `{:?}` writes it.
+        // A float literal needs a decimal point in WGSL: `{:?}` writes it.
         let _ = writeln!(source, "const MAX_MIRROR_ROUGHNESS: f32 = {MAX_MIRROR_ROUGHNESS:?};");
         source + &self.splits.source(self.traversal)
     }
 }
 
-/// Files of every kernel: the scene, and what rays ask of it.
+/// Files of every kernel: types, math, intersection and traversal.
 const SCENE: [&str; 4] = [
     include_str!("../../../shaders/shared/types.wgsl"),
     include_str!("../../../shaders/shared/math.wgsl"),
@@ -75,14 +97,14 @@ const SCENE: [&str; 4] = [
     include_str!("../../../shaders/shared/traverse.wgsl"),
 ];
 
-/// What traversal asks of materials, where not everything is opaque.
+/// Material evaluation, for alpha tests and transmittance.
 const MATERIALS: [&str; 2] =
     [include_str!("../../../shaders/shared/texture.wgsl"), include_str!("../../../shaders/shared/material.wgsl")];
 
-/// What stands in for that where everything is.
+/// Stubs for opaque scenes, in place of [`MATERIALS`].
 const OPAQUE_STUBS: [&str; 1] = [include_str!("../../../shaders/shared/opaque.wgsl")];
 
-/// What lies at a hit.
+/// Surface reconstruction at a hit.
 const SURFACES: [&str; 2] =
     [include_str!("../../../shaders/shared/surface.wgsl"), include_str!("../../../shaders/shared/offset.wgsl")];
 
@@ -96,7 +118,7 @@ const SHADING: [&str; 5] = [
 ];
 
 impl EntryPoint {
-    /// All of them.
+    /// All entry points.
     pub const ALL: [Self; 4] = [Self::Render, Self::RenderAovs, Self::ClosestHits, Self::AnyHits];
 
     /// The name of the entry point in its module.
@@ -109,7 +131,7 @@ impl EntryPoint {
         }
     }
 
-    /// The module's source, of a kernel that can do what its variant says.
+    /// The WGSL source of a module with this entry point, specialised for a variant.
     pub fn source(self, variant: impl Into<KernelVariant>) -> String {
         let shading = match self {
             Self::Render | Self::RenderAovs => [&SURFACES[..], &SHADING[..]].concat(),

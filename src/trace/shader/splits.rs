@@ -1,18 +1,19 @@
-//! Arrays that are larger than a binding may be: they lie in several, and the kernel is told how.
+//! Arrays larger than a storage binding are split over several bindings; generated accessors select the part.
 
 use std::fmt::Write as _;
 
 use crate::trace::Traversal;
 
-/// How many bindings the arrays of a scene take where none is split: those of `types.wgsl`.
+/// Number of bindings of a scene none of whose arrays is split. Those of nodes and triangles are declared by
+/// [`ArraySplits::source`], the others by `types.wgsl`.
 pub(crate) const ARRAY_COUNT: u32 = 13;
 
-/// How an array lies in bindings: element `i` is element `i % 2^shift` of part `i >> shift`.
+/// How an array is split over bindings: element `i` is element `i % 2^shift` of part `i >> shift`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct ArraySplit {
-    /// Parts after the first.
+    /// Number of parts beyond the first.
     extra_parts: u32,
-    /// The logarithm of the elements of a part.
+    /// log2 of the elements per part.
     shift: u32,
 }
 
@@ -20,8 +21,8 @@ impl ArraySplit {
     /// One part, whatever its size.
     pub const WHOLE: Self = Self { extra_parts: 0, shift: 0 };
 
-    /// As few parts as hold `len` elements where a part holds at most `limit`: a power of two each, the last what is left.
-    /// Where the limit is 0 nothing does: then each element is a part.
+    /// The fewest parts for `len` elements of which a binding holds at most `limit`. The size of each part is the same
+    /// power of two; the last has the rest. A limit of 0 is treated as 1.
     pub fn new(len: u64, limit: u64) -> Self {
         if len <= limit {
             return Self::WHOLE;
@@ -30,58 +31,71 @@ impl ArraySplit {
         Self { extra_parts: (len.div_ceil(1 << shift) - 1) as u32, shift }
     }
 
-    /// How many parts there are.
+    /// Number of parts.
     pub fn parts(self) -> u32 {
         1 + self.extra_parts
     }
 
-    /// Elements of each part but the last; `None` where there is but one.
+    /// Elements of each part but the last; `None` if there is only one.
     pub fn part_len(self) -> Option<u64> {
         (self.extra_parts > 0).then_some(1 << self.shift)
     }
 }
 
-/// How the arrays that can be split are. Those of a scene that fits its bindings are not, and its kernel is no slower for it.
+/// Splits of the arrays that can be split. A scene that fits has no splits and pays nothing.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[non_exhaustive]
 pub struct ArraySplits {
-    /// Of `blas_nodes` or `wide_nodes`, whichever are bound.
+    /// Split of `blas_nodes` or `wide_nodes`, whichever are bound.
     pub nodes: ArraySplit,
-    /// Of `triangles`.
+    /// Split of `triangles`.
     pub triangles: ArraySplit,
 }
 
 impl ArraySplits {
-    /// Bindings beyond the [`ARRAY_COUNT`].
+    /// Splits the BLAS nodes like this.
+    #[must_use]
+    pub fn with_nodes(self, nodes: ArraySplit) -> Self {
+        Self { nodes, ..self }
+    }
+
+    /// Splits the triangles like this.
+    #[must_use]
+    pub fn with_triangles(self, triangles: ArraySplit) -> Self {
+        Self { triangles, ..self }
+    }
+
+    /// Number of bindings beyond the [`ARRAY_COUNT`].
     pub(crate) fn extra_bindings(&self) -> u32 {
         self.nodes.extra_parts + self.triangles.extra_parts
     }
 
-    /// Declares the arrays that can be split, their parts, and the functions by which the kernel reads them. Parts after the
-    /// first are bound after all arrays, in the order of the members.
-    pub(super) fn source(&self, layout: Traversal) -> String {
+    /// WGSL that declares the arrays that can be split, their parts, and the functions by which the kernel reads them.
+    /// Parts after the first are bound after all arrays, in the order of the members.
+    pub(super) fn source(&self, traversal: Traversal) -> String {
         let mut source = String::new();
         let element = ("i: u32", "");
         let child = ("i: u32, child: u32", ".children[child]");
         let nodes = ARRAY_COUNT;
         let triangles = nodes + self.nodes.extra_parts;
-        match layout {
+        match traversal {
             Traversal::Rope => {
                 self.nodes.write_declarations(&mut source, [2, nodes], "blas_nodes", "Node");
-                self.nodes.read(&mut source, "blas_nodes", "blas_node_at", "Node", element);
+                self.nodes.write_accessor(&mut source, "blas_nodes", "blas_node_at", "Node", element);
             }
             Traversal::Wide => {
                 self.nodes.write_declarations(&mut source, [2, nodes], "wide_nodes", "WideNode");
-                self.nodes.read(&mut source, "wide_nodes", "wide_node_at", "WideNode", element);
-                self.nodes.read(&mut source, "wide_nodes", "wide_child_at", "u32", child);
+                self.nodes.write_accessor(&mut source, "wide_nodes", "wide_node_at", "WideNode", element);
+                self.nodes.write_accessor(&mut source, "wide_nodes", "wide_child_at", "u32", child);
             }
         }
         self.triangles.write_declarations(&mut source, [3, triangles], "triangles", "Triangle");
-        self.triangles.read(&mut source, "triangles", "triangle_at", "Triangle", element);
+        self.triangles.write_accessor(&mut source, "triangles", "triangle_at", "Triangle", element);
         source
     }
 }
 
-/// Writing to a string cannot fail: what it returns is dropped here.
+// Writing to a string cannot fail: the results of `writeln` are dropped here.
 impl ArraySplit {
     /// Declares the first part at one binding, the others from another on.
     fn write_declarations(self, source: &mut String, [first, others]: [u32; 2], array: &str, element: &str) {
@@ -92,8 +106,26 @@ impl ArraySplit {
         }
     }
 
-    /// A function that reads element `i`, or a member of it.
-    fn read(self, source: &mut String, array: &str, name: &str, result: &str, (arguments, member): (&str, &str)) {
+    /// Writes the function that reads element `i` of an array, or a member of it. For 20 triangles in parts of 8:
+    ///
+    /// ```wgsl
+    /// fn triangle_at(i: u32) -> Triangle {
+    ///     let j = i & 7u;
+    ///     switch i >> 3u {
+    ///         case 1u: { return triangles_1[j]; }
+    ///         case 2u: { return triangles_2[j]; }
+    ///         default: { return triangles[j]; }
+    ///     }
+    /// }
+    /// ```
+    fn write_accessor(
+        self,
+        source: &mut String,
+        array: &str,
+        name: &str,
+        result: &str,
+        (arguments, member): (&str, &str),
+    ) {
         let _ = writeln!(source, "fn {name}({arguments}) -> {result} {{");
         if self.extra_parts > 0 {
             let shift = self.shift;

@@ -6,7 +6,7 @@ use ropewalk::trace::gpu::{AdapterKinds, GpuOptions, GpuTracer};
 
 /// A tracer, or `None` where the test is to be skipped.
 pub fn tracer() -> Option<GpuTracer> {
-    usable(GpuTracer::new(&GpuOptions { adapters: AdapterKinds::IncludingSoftware, ..Default::default() }))
+    usable(GpuTracer::new(&GpuOptions::default().with_adapters(AdapterKinds::IncludingSoftware)))
 }
 
 /// What the GPU gave, or `None` where the test is to be skipped for want of one.

@@ -14,7 +14,7 @@ pub fn tracers() -> Vec<Box<dyn Tracer>> {
 
 #[cfg(feature = "gpu")]
 fn on_gpu(traversal: Traversal) -> Option<Box<dyn Tracer>> {
-    Some(Box::new(crate::gpu::tracer()?.with_layout(traversal)))
+    Some(Box::new(crate::gpu::tracer()?.with_traversal(traversal)))
 }
 
 #[cfg(not(feature = "gpu"))]

@@ -18,7 +18,8 @@ fn an_adapter_serves() {
 
 #[test]
 fn no_adapter_is_an_error() {
-    let options = GpuOptions { adapters: AdapterKinds::IncludingSoftware, backends: wgpu::Backends::empty() };
+    let options =
+        GpuOptions::default().with_adapters(AdapterKinds::IncludingSoftware).with_backends(wgpu::Backends::empty());
     let error = GpuTracer::new(&options).unwrap_err();
     assert!(matches!(&error, Error::NoGpu { reason } if reason.contains("no driver")), "{error}");
 }

@@ -99,7 +99,7 @@ fn a_kernel_is_compiled_once_for_each_set_of_needs() {
         tracer.render(&arrays, &request(8, 8, false)).unwrap();
         tracer.render(&arrays, &FrameRequest { needs: Needs::CULLING, ..request(8, 8, false) }).unwrap();
     }
-    assert_eq!(tracer.pipelines_made(), 2);
+    assert_eq!(tracer.pipeline_count(), 2);
 }
 
 #[test]

@@ -25,7 +25,7 @@ fn resident<T: bytemuck::Pod>(tracer: &mut GpuTracer, rays: &[RayRecord], ray_ma
     let answers = buffer(BufferUsages::STORAGE | BufferUsages::COPY_SRC);
     let staging = buffer(BufferUsages::COPY_DST | BufferUsages::MAP_READ);
     let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-    let buffers = RayBuffers { rays: &rays_buffer, results: &answers, count: rays.len() as u32, ray_mask };
+    let buffers = RayBuffers::new(&rays_buffer, &answers, rays.len() as u32).with_ray_mask(ray_mask);
     match closest {
         true => tracer.record_closest_hits(&mut encoder, &buffers).unwrap(),
         false => tracer.record_any_hits(&mut encoder, &buffers).unwrap(),
@@ -79,7 +79,7 @@ fn buffers_that_do_not_do_are_refused() {
     let copies = buffer(320, BufferUsages::COPY_DST);
     let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
     let mut refusal = |tracer: &mut GpuTracer, rays, answers, count| {
-        tracer.record_closest_hits(&mut encoder, &RayBuffers { rays, results: answers, count, ray_mask: 1 }).err()
+        tracer.record_closest_hits(&mut encoder, &RayBuffers::new(rays, answers, count).with_ray_mask(1)).err()
     };
     assert!(matches!(refusal(&mut tracer, &good, &good, 1), Some(Error::Gpu { .. })), "nothing was uploaded");
     tracer.upload(&mut arrays).unwrap();

@@ -20,7 +20,7 @@ fn after_every_edit_the_gpu_shows_the_scene() {
 fn after_every_edit_it_does_where_nodes_and_triangles_are_split_too() {
     for layout in [Traversal::Rope, Traversal::Wide] {
         let gpu = limited(|limits| limits.max_storage_buffer_binding_size = 8192);
-        after_every_edit(gpu.map(|gpu| gpu.with_layout(layout)), 30);
+        after_every_edit(gpu.map(|gpu| gpu.with_traversal(layout)), 30);
     }
 }
 

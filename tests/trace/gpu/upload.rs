@@ -22,9 +22,9 @@ fn the_first_upload_copies_all_and_the_second_nothing() {
         tracer.upload(&mut arrays).unwrap(),
         (all + size_of::<GeometryRecord>() + size_of::<MaterialRecord>()) as u64
     );
-    assert_eq!(tracer.bind_groups_made(), 1);
+    assert_eq!(tracer.bind_group_rebuilds(), 1);
     assert_eq!(tracer.upload(&mut arrays).unwrap(), 0);
-    assert_eq!(tracer.bind_groups_made(), 1);
+    assert_eq!(tracer.bind_group_rebuilds(), 1);
 }
 
 #[test]
@@ -41,7 +41,7 @@ fn one_changed_element_is_all_that_is_copied() {
         assert_eq!(tracer.upload(&mut arrays).unwrap(), size_of::<InstanceRecord>() as u64);
         agree(&mut tracer, &arrays, &rays);
     }
-    assert_eq!(tracer.bind_groups_made(), 1);
+    assert_eq!(tracer.bind_group_rebuilds(), 1);
 }
 
 #[test]
@@ -94,7 +94,7 @@ fn arrays_that_grow_keep_what_they_held() {
         }
     }
     // Geometric growth: far fewer new buffers than uploads.
-    assert!(tracer.bind_groups_made() < 60, "{}", tracer.bind_groups_made());
+    assert!(tracer.bind_group_rebuilds() < 60, "{}", tracer.bind_group_rebuilds());
 }
 
 #[test]
@@ -195,7 +195,7 @@ fn large_arrays_lie_in_several_bindings_and_rays_hit_the_same() {
     tracer.upload(&mut arrays).unwrap();
     let rays = rays(2000, &mut random);
     agree(&mut tracer, &arrays, &rays);
-    let pipelines = tracer.pipelines_made();
+    let pipelines = tracer.pipeline_count();
 
     // Growing over the edge, across it by each upload, and back again.
     for count in [26, 36, 16, 17, 32, 33, 37, 20, 37] {
@@ -211,7 +211,7 @@ fn large_arrays_lie_in_several_bindings_and_rays_hit_the_same() {
         agree(&mut tracer, &arrays, &rays);
         assert_eq!(tracer.upload(&mut arrays).unwrap(), 0);
     }
-    assert!(tracer.pipelines_made() > pipelines, "whole arrays are read by a kernel of their own");
+    assert!(tracer.pipeline_count() > pipelines, "whole arrays are read by a kernel of their own");
     tracer.render(&arrays, &super::frame::request(64, 48, true)).unwrap();
     let mut emulated = Emulated::default();
     emulated.render(&arrays, &super::frame::request(64, 48, true)).unwrap();

@@ -85,7 +85,7 @@ fn no_ray_escapes_closed_meshes_cpu() {
 #[test]
 fn no_ray_escapes_closed_meshes_gpu() {
     if let Some(gpu) = ropewalk_testkit::gpu::tracer() {
-        no_ray_escapes_closed_meshes(&mut gpu.with_layout(Traversal::Rope));
+        no_ray_escapes_closed_meshes(&mut gpu.with_traversal(Traversal::Rope));
     }
 }
 
@@ -93,7 +93,7 @@ fn no_ray_escapes_closed_meshes_gpu() {
 #[test]
 fn no_ray_escapes_closed_meshes_gpu_wide() {
     if let Some(gpu) = ropewalk_testkit::gpu::tracer() {
-        no_ray_escapes_closed_meshes(&mut gpu.with_layout(Traversal::Wide));
+        no_ray_escapes_closed_meshes(&mut gpu.with_traversal(Traversal::Wide));
     }
 }
 
