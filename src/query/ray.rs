@@ -175,6 +175,6 @@ impl Queries<'_> {
         }
         let [u, v] = [crossing.weights.y, crossing.weights.z].map(|weight| weight as f32);
         let scene = KernelScene::new(self.compiler.arrays());
-        !(flags.contains(InstanceFlags::ALPHA_MASK) && fails_alpha_test(&scene, instance, triangle, u, v))
+        !(flags.contains(InstanceFlags::ALPHA_MASK) && fails_alpha_test(&scene, instance, triangle.primitive, u, v))
     }
 }

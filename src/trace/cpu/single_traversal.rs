@@ -14,8 +14,7 @@ use super::triangle_test::{
     PlaneOperands, Shear, first_four, gather_corners, intersect_triangles, plane_distances, split_corners,
 };
 use crate::device::layout::{PrimitiveRange, Triangle, WideNode};
-use crate::trace::kernel::BOX_ENTRY_SCALE;
-use crate::trace::queries::CandidateHit;
+use crate::trace::kernel::{BOX_ENTRY_SCALE, TriangleHit};
 
 /// What single rays write to.
 #[derive(Clone, Copy, Zeroable)]
@@ -269,8 +268,8 @@ fn intersect_four_triangles<S: Simd>(
         let lane = crossed.trailing_zeros() as usize & 3;
         crossed &= crossed - 1;
         let back = crossings.back >> lane & 1 != 0;
-        let candidate = CandidateHit { t: t[lane], u: u[lane], v: v[lane], back, triangle: first + lane as u32 };
-        answer.accept_hit(place, &candidate);
+        let hit = TriangleHit { t: t[lane], u: u[lane], v: v[lane], back };
+        answer.accept_hit(place, first + lane as u32, &hit);
     }
     true
 }

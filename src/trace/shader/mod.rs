@@ -44,13 +44,13 @@ impl From<Needs> for KernelVariant {
 
 impl KernelVariant {
     /// The files by which the scene is walked.
-    fn scene_files(&self) -> [&'static str; 5] {
+    fn scene_files(&self) -> [&'static str; 6] {
         let walk = match self.traversal {
             Traversal::Rope => include_str!("../../../shaders/shared/rope.wgsl"),
             Traversal::Wide => include_str!("../../../shaders/shared/wide.wgsl"),
         };
-        let [types, math, intersect, traverse] = SCENE;
-        [types, math, intersect, walk, traverse]
+        let [types, math, intersect, query, traverse] = SCENE;
+        [types, math, intersect, walk, query, traverse]
     }
 
     /// What all files rely on: a constant for each flag of [`Needs`], `NEEDS_TEXTURES` for example (the driver's compiler drops
@@ -68,10 +68,11 @@ impl KernelVariant {
 }
 
 /// Files of every kernel: the scene, and what rays ask of it.
-const SCENE: [&str; 4] = [
+const SCENE: [&str; 5] = [
     include_str!("../../../shaders/shared/types.wgsl"),
     include_str!("../../../shaders/shared/math.wgsl"),
     include_str!("../../../shaders/shared/intersect.wgsl"),
+    include_str!("../../../shaders/shared/query.wgsl"),
     include_str!("../../../shaders/shared/traverse.wgsl"),
 ];
 
