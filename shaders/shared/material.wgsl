@@ -8,31 +8,31 @@ struct TrianglePoint {
     weights: vec3<f32>,
 }
 
-fn triangle_point(instance: InstanceRecord, triangle: Triangle, u: f32, v: f32) -> TrianglePoint {
+fn triangle_point(instance: InstanceRecord, primitive: u32, u: f32, v: f32) -> TrianglePoint {
     let streams = geometries[instance.geometry];
     // A geometry without streams has no indices either.
     var vertices = vec3<u32>(0u);
     if streams.first_index != NONE {
-        let first = streams.first_index + 3u * triangle.primitive;
+        let first = streams.first_index + 3u * primitive;
         vertices = vec3<u32>(indices[first], indices[first + 1u], indices[first + 2u]);
     }
     return TrianglePoint(streams, vertices, vec3<f32>((1.0 - u) - v, u, v));
 }
 
 // Whether an alpha-masked material has a hole here: closest_hit asks about each candidate.
-fn fails_alpha_test(instance: InstanceRecord, triangle: Triangle, u: f32, v: f32) -> bool {
+fn fails_alpha_test(instance: InstanceRecord, primitive: u32, u: f32, v: f32) -> bool {
     let material = materials[instance.material];
     if (material.flags & MATERIAL_MASK) == 0u {
         return false;
     }
-    return base_color_at(material, triangle_point(instance, triangle, u, v)).w < material.alpha_cutoff;
+    return base_color_at(material, triangle_point(instance, primitive, u, v)).w < material.alpha_cutoff;
 }
 
 // The part of the light that goes on through a candidate of a shadow ray: all through a hole, what alpha leaves open, and
 // of the rest what is refracted. Shadow rays do not bend, and Fresnel reflection is taken at normal incidence.
-fn surface_transmittance(instance: InstanceRecord, triangle: Triangle, u: f32, v: f32) -> vec3<f32> {
+fn surface_transmittance(instance: InstanceRecord, primitive: u32, u: f32, v: f32) -> vec3<f32> {
     let material = materials[instance.material];
-    let place = triangle_point(instance, triangle, u, v);
+    let place = triangle_point(instance, primitive, u, v);
     let base_color = base_color_at(material, place);
     if (material.flags & MATERIAL_MASK) != 0u && base_color.w < material.alpha_cutoff {
         return vec3<f32>(1.0);

@@ -1,9 +1,9 @@
 // In place of material.wgsl, for queries in scenes where everything is opaque: then nothing asks.
 
-fn fails_alpha_test(instance: InstanceRecord, triangle: Triangle, u: f32, v: f32) -> bool {
+fn fails_alpha_test(instance: InstanceRecord, primitive: u32, u: f32, v: f32) -> bool {
     return false;
 }
 
-fn surface_transmittance(instance: InstanceRecord, triangle: Triangle, u: f32, v: f32) -> vec3<f32> {
+fn surface_transmittance(instance: InstanceRecord, primitive: u32, u: f32, v: f32) -> vec3<f32> {
     return vec3<f32>(0.0);
 }

@@ -22,7 +22,7 @@ struct TraversalState {
 }
 
 // Order is one and the same, whatever is wished.
-fn begin_traversal(ray: RayRecord, ray_mask: u32, near_first: bool) -> TraversalState {
+fn begin_traversal(ray: RayRecord, ray_mask: u32, order: u32) -> TraversalState {
     var state: TraversalState;
     state.world_ray = slab_ray(ray.origin, ray.direction);
     state.level_ray = state.world_ray;

@@ -31,7 +31,7 @@ fn surface_at(hit: HitRecord, direction: vec3<f32>) -> Surface {
     let instance = instances[hit.instance];
     let triangle = triangle_at(hit.triangle);
     let material = materials[instance.material];
-    let place = triangle_point(instance, triangle, hit.u, hit.v);
+    let place = triangle_point(instance, triangle.primitive, hit.u, hit.v);
     let anchor = hit_point(instance, triangle, place.weights, -direction);
 
     let back = dot3(direction, anchor.normal) > 0.0;

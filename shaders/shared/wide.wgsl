@@ -44,7 +44,7 @@ struct TraversalState {
     stack: array<vec2<u32>, TLAS_STACK_SIZE + BLAS_STACK_SIZE>,
 }
 
-fn begin_traversal(ray: RayRecord, ray_mask: u32, near_first: bool) -> TraversalState {
+fn begin_traversal(ray: RayRecord, ray_mask: u32, order: u32) -> TraversalState {
     var state: TraversalState;
     state.world_ray = slab_ray(ray.origin, ray.direction);
     state.level_ray = state.world_ray;
@@ -56,7 +56,7 @@ fn begin_traversal(ray: RayRecord, ray_mask: u32, near_first: bool) -> Traversal
     let root = tlas_nodes[0];
     // A hierarchy of nothing is absent or zero, and no escape index leads back to node 0.
     if root.escape_index != 0u {
-        if !near_first {
+        if order != NEAR_FIRST {
             state.tlas_next = 0u;
             state.tlas_rope_end = NONE;
         } else if tlas_entry_distance(state.level_ray, root, ray.t_min, ray.t_max) != NO_ENTRY {

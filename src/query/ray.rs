@@ -181,6 +181,6 @@ impl Queries<'_> {
         }
         let [u, v] = [crossing.barycentrics.y, crossing.barycentrics.z].map(|weight| weight as f32);
         let scene = KernelScene::new(self.compiler.arrays());
-        !(flags.contains(InstanceFlags::ALPHA_MASK) && fails_alpha_test(&scene, instance, triangle, u, v))
+        !(flags.contains(InstanceFlags::ALPHA_MASK) && fails_alpha_test(&scene, instance, triangle.primitive, u, v))
     }
 }

@@ -5,8 +5,8 @@ use rayon::prelude::*;
 
 use super::frame_buffer::FrameBuffer;
 use super::kernel::{
-    KernelScene, Pixel, RayQueries, any_hit, camera_ray, closest_hit, count_any_hit, count_closest_hit,
-    count_transmittance, render_pixel, transmittance,
+    AnyQuery, ClosestQuery, KernelScene, Pixel, Query, RayQueries, TransmittanceQuery, any_hit, camera_ray,
+    closest_hit, render_pixel, run_query,
 };
 use super::{DeviceInfo, FrameCounts, FrameRequest, Tracer, Traversal, TraversalCounts};
 use crate::Result;
@@ -32,13 +32,13 @@ impl Emulated {
     /// What [`closest_hits`](Tracer::closest_hits) reads and tests.
     pub fn count_closest_hits(&self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> TraversalCounts {
         let scene = KernelScene::with_layout(arrays, self.layout);
-        sum(rays.iter().map(|ray| count_closest_hit(&scene, ray, ray_mask)))
+        count(&scene, rays, ray_mask, ClosestQuery::new)
     }
 
     /// What [`any_hits`](Tracer::any_hits) reads and tests.
     pub fn count_any_hits(&self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> TraversalCounts {
         let scene = KernelScene::with_layout(arrays, self.layout);
-        sum(rays.iter().map(|ray| count_any_hit(&scene, ray, ray_mask)))
+        count(&scene, rays, ray_mask, AnyQuery::new)
     }
 
     /// What [`render`](Tracer::render) traces, and what that costs, by all threads. Of translucent instances whose triangles may be
@@ -75,20 +75,30 @@ impl<'a> RayQueries<'a> for CountingQueries<'a> {
 
     fn closest_hit(&mut self, ray: &RayRecord, ray_mask: u32) -> HitRecord {
         self.counts.radiance_rays += 1;
-        self.counts.cost += count_closest_hit(self.scene, ray, ray_mask);
-        closest_hit(self.scene, ray, ray_mask)
+        self.run_query(ray, ray_mask, ClosestQuery::new(ray.t_max)).result()
     }
 
     fn transmittance(&mut self, ray: &RayRecord, ray_mask: u32) -> Vec3 {
         self.counts.shadow_rays += 1;
-        self.counts.cost += count_transmittance(self.scene, ray, ray_mask);
-        transmittance(self.scene, ray, ray_mask)
+        let query = self.run_query(ray, ray_mask, TransmittanceQuery::new(ray.t_max));
+        query.with_layers(self.scene, ray, ray_mask)
     }
 }
 
-fn sum(counts: impl Iterator<Item = TraversalCounts>) -> TraversalCounts {
-    counts.fold(TraversalCounts::default(), |mut sum, counts| {
-        sum += counts;
+impl CountingQueries<'_> {
+    /// Runs a query and adds its traversal cost to that of the frame.
+    fn run_query<Q: Query>(&mut self, ray: &RayRecord, ray_mask: u32, query: Q) -> Q {
+        let (query, cost): (Q, TraversalCounts) = run_query(self.scene, ray, ray_mask, query);
+        self.counts.cost += cost;
+        query
+    }
+}
+
+/// Traversal cost of one query per ray; `query` makes its state from `t_max`.
+fn count<Q: Query>(scene: &KernelScene<'_>, rays: &[RayRecord], ray_mask: u32, query: fn(f32) -> Q) -> TraversalCounts {
+    rays.iter().fold(TraversalCounts::default(), |mut sum, ray| {
+        let (_, cost): (Q, TraversalCounts) = run_query(scene, ray, ray_mask, query(ray.t_max));
+        sum += cost;
         sum
     })
 }

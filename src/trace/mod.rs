@@ -6,7 +6,6 @@ mod frame_buffer;
 #[cfg(feature = "gpu")]
 pub mod gpu;
 pub(crate) mod kernel;
-mod queries;
 mod recursive;
 pub mod shader;
 mod traversal;

@@ -5,12 +5,10 @@ use std::collections::HashMap;
 use glam::Vec3;
 
 use super::frame_buffer::FrameBuffer;
-use super::kernel::math::{transform_point, transform_vector};
 use super::kernel::{
-    KernelScene, RayQueries, SlabRay, TraversalCounter, camera_ray, intersect_triangle, intersects_box, max_component,
-    render_pixel, shear_ray, slab_ray,
+    AnyQuery, ClosestQuery, KernelScene, Query, RayQueries, SlabRay, TransmittanceQuery, TraversalCounter,
+    TraversalRay, camera_ray, intersect_leaf, intersects_box, max_component, render_pixel, shear_ray,
 };
-use super::queries::{AnyQuery, CandidateHit, ClosestQuery, Query, TransmittanceQuery};
 use super::{DeviceInfo, FrameRequest, Tracer, TraversalCounts};
 use crate::Result;
 use crate::device::DeviceArrays;
@@ -50,20 +48,27 @@ struct TreeNode {
 impl Recursive {
     /// What [`closest_hits`](Tracer::closest_hits) reads and tests. The arrays must have been uploaded.
     pub fn count_closest_hits(&self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> TraversalCounts {
-        self.count::<ClosestQuery>(arrays, rays, ray_mask)
+        self.count(arrays, rays, ray_mask, ClosestQuery::new)
     }
 
     /// What [`any_hits`](Tracer::any_hits) reads and tests. The arrays must have been uploaded.
     pub fn count_any_hits(&self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> TraversalCounts {
-        self.count::<AnyQuery>(arrays, rays, ray_mask)
+        self.count(arrays, rays, ray_mask, AnyQuery::new)
     }
 
-    fn count<Q: Query>(&self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> TraversalCounts {
+    /// Traversal cost of one query per ray; `query` makes its state from `t_max`.
+    fn count<Q: Query>(
+        &self,
+        arrays: &DeviceArrays,
+        rays: &[RayRecord],
+        ray_mask: u32,
+        query: fn(f32) -> Q,
+    ) -> TraversalCounts {
         let scene = KernelScene::new(arrays);
         let tracer = TreeQueries { scene: &scene, trees: self.trees.as_ref() };
         let mut counts = TraversalCounts::default();
         for ray in rays {
-            tracer.query_counted::<Q, _>(ray, ray_mask, &mut counts);
+            tracer.run_query(ray, ray_mask, query(ray.t_max), &mut counts);
         }
         counts
     }
@@ -117,13 +122,13 @@ impl Tracer for Recursive {
     fn closest_hits(&mut self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> Result<Vec<HitRecord>> {
         let scene = KernelScene::new(arrays);
         let tracer = TreeQueries { scene: &scene, trees: self.trees.as_ref() };
-        Ok(rays.iter().map(|ray| tracer.query::<ClosestQuery>(ray, ray_mask).0).collect())
+        Ok(rays.iter().map(|ray| tracer.closest_hit(ray, ray_mask)).collect())
     }
 
     fn any_hits(&mut self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> Result<Vec<bool>> {
         let scene = KernelScene::new(arrays);
         let tracer = TreeQueries { scene: &scene, trees: self.trees.as_ref() };
-        Ok(rays.iter().map(|ray| tracer.query::<AnyQuery>(ray, ray_mask).is_hit).collect())
+        Ok(rays.iter().map(|ray| tracer.any_hit(ray, ray_mask)).collect())
     }
 }
 
@@ -174,62 +179,65 @@ struct TreeQueries<'a> {
 }
 
 impl TreeQueries<'_> {
-    fn query<Q: Query>(&self, ray: &RayRecord, ray_mask: u32) -> Q {
-        self.query_counted(ray, ray_mask, &mut ())
+    fn closest_hit(&self, ray: &RayRecord, ray_mask: u32) -> HitRecord {
+        self.run_query(ray, ray_mask, ClosestQuery::new(ray.t_max), &mut ()).result()
     }
 
-    fn query_counted<Q: Query, C: TraversalCounter>(&self, ray: &RayRecord, ray_mask: u32, counter: &mut C) -> Q {
-        let mut query = Q::new(ray.t_max);
-        let world = slab_ray(Vec3::from_array(ray.origin), Vec3::from_array(ray.direction));
-        if let Some(top) = self.trees.and_then(|trees| trees.tlas.as_ref()) {
-            traverse(top, &world, ray.t_min, ray.t_max, counter, &mut |leaf, counter| {
-                self.query_instance(leaf.node.primitives.first_primitive(), ray, ray_mask, &mut query, counter);
+    fn any_hit(&self, ray: &RayRecord, ray_mask: u32) -> bool {
+        self.run_query(ray, ray_mask, AnyQuery::new(ray.t_max), &mut ()).is_hit
+    }
+
+    fn transmittance(&self, ray: &RayRecord, ray_mask: u32) -> Vec3 {
+        let query = self.run_query(ray, ray_mask, TransmittanceQuery::new(ray.t_max), &mut ());
+        query.with_layers(self.scene, ray, ray_mask)
+    }
+
+    /// Offers the hits in all leaves that a ray enters to a query; returns its final state.
+    fn run_query<Q: Query, C: TraversalCounter>(
+        &self,
+        ray: &RayRecord,
+        ray_mask: u32,
+        mut query: Q,
+        counter: &mut C,
+    ) -> Q {
+        let mut ray = TraversalRay::new(ray, ray_mask);
+        if let Some(tlas) = self.trees.and_then(|trees| trees.tlas.as_ref()) {
+            let (world_ray, t_min) = (ray.world_ray, ray.t_min);
+            traverse(tlas, &world_ray, t_min, query.t_max(), counter, &mut |leaf, counter| {
+                let instance = leaf.node.primitives.first_primitive();
+                self.intersect_instance(instance, &mut ray, &mut query, counter);
                 query.t_max()
             });
         }
-        query.finish();
         query
     }
 
-    fn query_instance<Q: Query, C: TraversalCounter>(
+    fn intersect_instance<C: TraversalCounter>(
         &self,
         index: u32,
-        ray: &RayRecord,
-        ray_mask: u32,
-        query: &mut Q,
+        ray: &mut TraversalRay,
+        query: &mut impl Query,
         counter: &mut C,
     ) {
-        let instance = &self.scene.instances[index as usize];
-        let Some(root) = self.trees.and_then(|trees| trees.blas_by_first_node.get(&instance.first_node)) else {
-            return;
-        };
-        if instance.mask & ray_mask == 0 {
-            return;
-        }
+        let first_node = self.scene.instances[index as usize].first_node;
+        let Some(root) = self.trees.and_then(|trees| trees.blas_by_first_node.get(&first_node)) else { return };
+        // Hidden by the ray mask?
+        let Some((instance, origin, direction)) = ray.enter_instance(self.scene, index) else { return };
         counter.instance();
         counter.read(instance);
-        let origin = transform_point(&instance.local_from_world, Vec3::from_array(ray.origin));
-        let direction = transform_vector(&instance.local_from_world, Vec3::from_array(ray.direction));
+        // Prepare the triangle test.
         let [min, max] = [root.node.min, root.node.max].map(|corner| Vec3::from_array(corner).abs());
-        let shear = shear_ray(origin, direction, max_component(min.max(max).max(origin.abs())));
-        let slab = slab_ray(origin, direction);
-        traverse(root, &slab, ray.t_min, query.t_max(), counter, &mut |leaf, counter| {
-            counter.triangles(leaf.node.primitives.primitive_count());
-            let first = instance.first_triangle + leaf.node.primitives.first_primitive();
-            for (triangle, corners) in (first..).zip(&leaf.triangles) {
-                let Some(crossing) = intersect_triangle(&shear, corners) else { continue };
-                if crossing.t >= ray.t_min && crossing.t <= query.t_max() {
-                    let (t, u, v) = (crossing.t, crossing.u, crossing.v);
-                    query.accept_hit(
-                        self.scene,
-                        index,
-                        instance,
-                        &CandidateHit { t, u, v, back: crossing.back, triangle },
-                    );
-                }
+        ray.local_shear = shear_ray(origin, direction, max_component(min.max(max).max(origin.abs())));
+        // Descend, and test the triangles of each leaf.
+        traverse(root, &ray.level_ray, ray.t_min, query.t_max(), counter, &mut |leaf, counter| {
+            if !query.skips_instance(ray.flags) {
+                counter.triangles(leaf.node.primitives.primitive_count());
+                let first = ray.first_triangle + leaf.node.primitives.first_primitive();
+                intersect_leaf(self.scene, ray, first, &leaf.triangles, query);
             }
             query.t_max()
         });
+        ray.leave_instance();
     }
 }
 
@@ -264,10 +272,10 @@ impl<'a> RayQueries<'a> for TreeQueries<'a> {
     }
 
     fn closest_hit(&mut self, ray: &RayRecord, ray_mask: u32) -> HitRecord {
-        self.query::<ClosestQuery>(ray, ray_mask).0
+        TreeQueries::closest_hit(self, ray, ray_mask)
     }
 
     fn transmittance(&mut self, ray: &RayRecord, ray_mask: u32) -> Vec3 {
-        self.query::<TransmittanceQuery>(ray, ray_mask).with_layers(self.scene, ray, ray_mask)
+        TreeQueries::transmittance(self, ray, ray_mask)
     }
 }

@@ -7,8 +7,10 @@ use glam::Vec3;
 use super::simd::{F32Lanes, LANES, lanes_of, load};
 use super::triangle_test::TriangleHits;
 use crate::device::layout::{HitRecord, InstanceFlags, InstanceRecord, NONE, RayRecord, WideNode};
-use crate::trace::kernel::{KernelScene, fails_alpha_test, is_before};
-use crate::trace::queries::{AnyQuery, CandidateHit, ClosestQuery, Query, TransmittanceQuery, is_opaque_at};
+use crate::trace::kernel::{
+    AnyQuery, ClosestQuery, KernelScene, Query, TransmittanceQuery, TriangleHit, candidate_hit, is_before, is_cut_out,
+    is_opaque_at,
+};
 
 /// Where triangles are met.
 pub(super) struct InstanceGeometry<'a> {
@@ -32,6 +34,24 @@ impl<'a> InstanceGeometry<'a> {
         let nodes = &scene.wide_nodes[first_node as usize..];
         Some(Self { scene, index, instance, nodes })
     }
+
+    #[inline(always)]
+    fn has_flags(&self, flags: InstanceFlags) -> bool {
+        InstanceFlags::from_bits_retain(self.instance.flags).contains(flags)
+    }
+
+    /// A hit with one of the instance's triangles as a candidate.
+    #[inline(always)]
+    fn candidate(&self, triangle: u32, hit: &TriangleHit) -> HitRecord {
+        candidate_hit(self.index, triangle, self.scene.triangles[triangle as usize].primitive, hit)
+    }
+}
+
+/// One lane of a packet's hits.
+#[inline(always)]
+fn hit_of_lane<S: Simd>(hits: &TriangleHits<f32x16<S>>, lane: usize) -> TriangleHit {
+    let (t, u, v) = (hits.t.as_array()[lane], hits.u.as_array()[lane], hits.v.as_array()[lane]);
+    TriangleHit { t, u, v, back: hits.back >> lane & 1 != 0 }
 }
 
 /// One of sixteen.
@@ -47,11 +67,13 @@ impl<A: PacketQuery> QueryLane<'_, A> {
         self.answers.t_max()[self.lane]
     }
 
-    /// It crosses a triangle.
+    /// Offers the lane's query a hit with a triangle, which lies in [t_min, t_max].
     #[inline(always)]
-    pub(super) fn accept_hit(&mut self, place: &InstanceGeometry<'_>, candidate: &CandidateHit) {
+    pub(super) fn accept_hit(&mut self, place: &InstanceGeometry<'_>, triangle: u32, hit: &TriangleHit) {
         let mut query = self.answers.query(self.lane);
-        query.accept_hit(place.scene, place.index, place.instance, candidate);
+        if !query.skips_instance(place.instance.flags) {
+            query.accept_hit(place.scene, &place.candidate(triangle, hit), place.instance.flags);
+        }
         self.answers.set_query(self.lane, query);
     }
 }
@@ -160,7 +182,7 @@ impl PacketQuery for ClosestPacket {
 
     #[inline(always)]
     fn query(&self, lane: usize) -> ClosestQuery {
-        ClosestQuery(HitRecord {
+        let hit = HitRecord {
             t: self.t[lane],
             u: self.u[lane],
             v: self.v[lane],
@@ -169,11 +191,12 @@ impl PacketQuery for ClosestPacket {
             triangle: self.triangle[lane],
             back_face: (self.back >> lane & 1) as u32,
             _pad: 0,
-        })
+        };
+        ClosestQuery { hit }
     }
 
     #[inline(always)]
-    fn set_query(&mut self, lane: usize, ClosestQuery(hit): ClosestQuery) {
+    fn set_query(&mut self, lane: usize, ClosestQuery { hit }: ClosestQuery) {
         self.t[lane] = hit.t;
         self.u[lane] = hit.u;
         self.v[lane] = hit.v;
@@ -193,24 +216,27 @@ impl PacketQuery for ClosestPacket {
         lanes: u64,
         at: &TriangleHits<f32x16<S>>,
     ) {
-        let flags = InstanceFlags::from_bits_retain(place.instance.flags);
-        let crossed = &place.scene.triangles[triangle as usize];
+        let flags = place.instance.flags;
+        let primitive = place.scene.triangles[triangle as usize].primitive;
         let mut lanes = lanes;
-        if flags.contains(InstanceFlags::CULL_BACK) {
+        // Break ties by instance and primitive.
+        let t = load(simd, self.t);
+        for lane in lanes_of(at.t.simd_eq(t).to_bitmask() & lanes) {
+            let candidate = place.candidate(triangle, &hit_of_lane(at, lane));
+            lanes &= !(u64::from(!is_before(&candidate, &self.query(lane).hit)) << lane);
+        }
+        // Cull back faces.
+        if place.has_flags(InstanceFlags::CULL_BACK) {
             lanes &= !at.back;
         }
-        if flags.contains(InstanceFlags::ALPHA_MASK) {
-            let (u, v) = (at.u.as_array(), at.v.as_array());
+        // Alpha test.
+        if place.has_flags(InstanceFlags::ALPHA_MASK) {
             for lane in lanes_of(lanes) {
-                lanes &= !(u64::from(fails_alpha_test(place.scene, place.instance, crossed, u[lane], v[lane])) << lane);
+                let candidate = place.candidate(triangle, &hit_of_lane(at, lane));
+                lanes &= !(u64::from(is_cut_out(place.scene, &candidate, flags)) << lane);
             }
         }
-        let t = load(simd, self.t);
-        let ties = at.t.simd_eq(t).to_bitmask() & lanes;
-        for lane in lanes_of(ties) {
-            let is_closer = is_before(self.t[lane], place.index, crossed.primitive, &self.query(lane).0);
-            lanes &= !(u64::from(!is_closer) << lane);
-        }
+        // Keep the candidates that are left.
         let is_closer = mask32x16::from_bitmask(simd, lanes);
         let set = |words: &mut [u32; LANES], word: u32| {
             let old = u32x16::simd_from(simd, *words);
@@ -220,7 +246,7 @@ impl PacketQuery for ClosestPacket {
         self.u = is_closer.select(at.u, load(simd, self.u)).into();
         self.v = is_closer.select(at.v, load(simd, self.v)).into();
         set(&mut self.instance, place.index);
-        set(&mut self.primitive, crossed.primitive);
+        set(&mut self.primitive, primitive);
         set(&mut self.triangle, triangle);
         self.back = self.back & !lanes | at.back & lanes;
     }
@@ -278,14 +304,12 @@ impl PacketQuery for AnyPacket {
         lanes: u64,
         at: &TriangleHits<f32x16<S>>,
     ) {
-        let flags = InstanceFlags::from_bits_retain(place.instance.flags);
+        let flags = place.instance.flags;
         let mut lanes = lanes;
-        if flags.contains(InstanceFlags::TRANSLUCENT) {
-            let (u, v) = (at.u.as_array(), at.v.as_array());
-            let crossed = &place.scene.triangles[triangle as usize];
+        if place.has_flags(InstanceFlags::TRANSLUCENT) {
             for lane in lanes_of(lanes) {
-                let stops = is_opaque_at(place.scene, place.instance, crossed, u[lane], v[lane]);
-                lanes &= !(u64::from(!stops) << lane);
+                let candidate = place.candidate(triangle, &hit_of_lane(at, lane));
+                lanes &= !(u64::from(!is_opaque_at(place.scene, &candidate, flags)) << lane);
             }
         }
         let ended = f32x16::splat(simd, f32::NEG_INFINITY);
@@ -362,16 +386,15 @@ impl PacketQuery for TransmittancePacket {
         lanes: u64,
         at: &TriangleHits<f32x16<S>>,
     ) {
-        let flags = InstanceFlags::from_bits_retain(place.instance.flags);
-        if flags.contains(InstanceFlags::TRANSLUCENT) {
-            let (t, u, v) = (at.t.as_array(), at.u.as_array(), at.v.as_array());
+        // Translucent: one lane after the other.
+        if place.has_flags(InstanceFlags::TRANSLUCENT) {
             for lane in lanes_of(lanes) {
-                let back = at.back >> lane & 1 != 0;
-                let candidate = CandidateHit { t: t[lane], u: u[lane], v: v[lane], back, triangle };
-                QueryLane { answers: self, lane }.accept_hit(place, &candidate);
+                let hit = hit_of_lane(at, lane);
+                QueryLane { answers: self, lane }.accept_hit(place, triangle, &hit);
             }
             return;
         }
+        // Opaque: all lanes are decided.
         let stopped = mask32x16::from_bitmask(simd, lanes);
         let set = |numbers: &mut F32Lanes, number: f32| {
             *numbers = stopped.select(f32x16::splat(simd, number), load(simd, *numbers)).into();
@@ -382,5 +405,99 @@ impl PacketQuery for TransmittancePacket {
         set(green, 0.0);
         set(blue, 0.0);
         self.layers &= !lanes;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fmt::Debug;
+
+    use bytemuck::Zeroable as _;
+    use fearless_simd::{Level, dispatch};
+
+    use super::*;
+    use crate::device::DeviceArrays;
+    use crate::device::layout::{GeometryRecord, MaterialFlags, MaterialRecord, Triangle};
+
+    /// Triangles whose alpha goes from 0 at the first vertex to 1 at the other two.
+    fn arrays(material: MaterialFlags, flags: InstanceFlags) -> DeviceArrays {
+        let mut arrays = DeviceArrays::default();
+        arrays.triangles.replace(&[0, 1, 2].map(|primitive| Triangle { primitive, ..Triangle::zeroed() }));
+        arrays.indices.replace(&[0, 1, 2, 0, 1, 2, 0, 1, 2]);
+        arrays.colors.replace(&[[u32::MAX, 0x0000_ffff], [u32::MAX; 2], [u32::MAX; 2]]);
+        arrays.geometries.replace(&[GeometryRecord {
+            first_normal: NONE,
+            first_tex_coord_0: NONE,
+            first_tex_coord_1: NONE,
+            ..GeometryRecord::zeroed()
+        }]);
+        arrays.materials.replace(&[MaterialRecord {
+            base_color: [0.5, 0.6, 0.7, 1.0],
+            alpha_cutoff: 0.5,
+            flags: material.bits(),
+            base_color_texture: NONE,
+            ..MaterialRecord::zeroed()
+        }]);
+        arrays.instances.replace(&[InstanceRecord { flags: flags.bits(), ..InstanceRecord::zeroed() }; 2]);
+        arrays
+    }
+
+    /// A pseudo-random number below `end`.
+    fn random(state: &mut u64, end: u32) -> u32 {
+        *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (*state >> 33) as u32 % end
+    }
+
+    /// Offers random hits to a packet and, lane by lane, to its queries.
+    fn packet_matches_lanes<S: Simd, P: PacketQuery<Query: PartialEq + Debug>>(simd: S, new: fn(f32) -> P::Query) {
+        let (state, mut accepted) = (&mut 1, 0);
+        let lanes_below = |state: &mut u64, end, scale: f32| -> F32Lanes {
+            std::array::from_fn(|_| random(state, end) as f32 * scale)
+        };
+        for material in [MaterialFlags::empty(), MaterialFlags::MASK, MaterialFlags::BLEND] {
+            for flags in (0..32).map(InstanceFlags::from_bits_retain) {
+                let arrays = arrays(material, flags);
+                let scene = &KernelScene::new(&arrays);
+                // With a t_max that is hit, too.
+                let mut packet = P::new(f32x16::splat(simd, 4.0));
+                let mut queries = [new(4.0); LANES];
+                for _ in 0..20 {
+                    let index = random(state, 2);
+                    let place =
+                        InstanceGeometry { scene, index, instance: &scene.instances[index as usize], nodes: &[] };
+                    // Few distances, so that there are ties.
+                    let hits = TriangleHits {
+                        t: load(simd, lanes_below(state, 5, 1.0)),
+                        u: load(simd, lanes_below(state, 9, 0.0625)),
+                        v: load(simd, lanes_below(state, 9, 0.0625)),
+                        back: u64::from(random(state, 1 << 16)),
+                    };
+                    let in_range = hits.t.simd_le(load(simd, *packet.t_max())).to_bitmask();
+                    let lanes = in_range & u64::from(random(state, 1 << 16));
+                    let triangle = random(state, 3);
+                    packet.accept_hits(simd, &place, triangle, lanes, &hits);
+                    for lane in lanes_of(lanes) {
+                        let (query, before) = (&mut queries[lane], queries[lane]);
+                        if !query.skips_instance(place.instance.flags) {
+                            let candidate = place.candidate(triangle, &hit_of_lane(&hits, lane));
+                            query.accept_hit(scene, &candidate, place.instance.flags);
+                        }
+                        accepted += u32::from(*query != before);
+                    }
+                    for (lane, query) in queries.iter().enumerate() {
+                        assert_eq!(packet.query(lane), *query, "lane {lane}, {material:?}, {flags:?}");
+                    }
+                }
+            }
+        }
+        assert!(accepted > 1_000, "{accepted}");
+    }
+
+    #[test]
+    fn packets_accept_what_their_lanes_accept() {
+        let level = Level::new();
+        dispatch!(level, simd => packet_matches_lanes::<_, ClosestPacket>(simd, ClosestQuery::new));
+        dispatch!(level, simd => packet_matches_lanes::<_, AnyPacket>(simd, AnyQuery::new));
+        dispatch!(level, simd => packet_matches_lanes::<_, TransmittancePacket>(simd, TransmittanceQuery::new));
     }
 }

@@ -15,8 +15,7 @@ use super::triangle_test::{
 };
 use super::wide_node::{child_planes, grid_step, hit_slots, near_far_shuffles, ray_interval};
 use crate::device::layout::{PrimitiveRange, Triangle, WideNode};
-use crate::trace::kernel::BOX_ENTRY_SCALE;
-use crate::trace::queries::CandidateHit;
+use crate::trace::kernel::{BOX_ENTRY_SCALE, TriangleHit};
 
 /// Scratch memory of single-ray traversal. Reused without clearing; each entry is written before it is read.
 #[derive(Clone, Copy, Zeroable)]
@@ -284,8 +283,8 @@ fn intersect_four_triangles<S: Simd>(
         let slot = hit_lanes.trailing_zeros() as usize & 3;
         hit_lanes &= hit_lanes - 1;
         let back = hits.back >> slot & 1 != 0;
-        let candidate = CandidateHit { t: t[slot], u: u[slot], v: v[slot], back, triangle: first + slot as u32 };
-        query.accept_hit(geometry, &candidate);
+        let hit = TriangleHit { t: t[slot], u: u[slot], v: v[slot], back };
+        query.accept_hit(geometry, first + slot as u32, &hit);
     }
     true
 }

@@ -8,7 +8,6 @@ use super::math::mix3;
 use super::texture::sample_texture;
 use crate::device::layout::{
     GeometryRecord, InstanceFlags, InstanceRecord, MaterialFlags, MaterialRecord, NONE, TextureFlags, TextureInfo,
-    Triangle,
 };
 
 /// A point of a triangle, as the vertex streams see it.
@@ -21,7 +20,7 @@ pub(crate) struct TrianglePoint {
 pub(crate) fn triangle_point(
     scene: &KernelScene<'_>,
     instance: &InstanceRecord,
-    triangle: &Triangle,
+    primitive: u32,
     u: f32,
     v: f32,
 ) -> TrianglePoint {
@@ -29,7 +28,7 @@ pub(crate) fn triangle_point(
     // A geometry without streams has no indices either.
     let mut vertices = [0; 3];
     if streams.first_index != NONE {
-        let first = (streams.first_index + 3 * triangle.primitive) as usize;
+        let first = (streams.first_index + 3 * primitive) as usize;
         vertices = [scene.indices[first], scene.indices[first + 1], scene.indices[first + 2]];
     }
     TrianglePoint { streams, vertices, weights: Vec3::new((1.0 - u) - v, u, v) }
@@ -39,7 +38,7 @@ pub(crate) fn triangle_point(
 pub(crate) fn fails_alpha_test(
     scene: &KernelScene<'_>,
     instance: &InstanceRecord,
-    triangle: &Triangle,
+    primitive: u32,
     u: f32,
     v: f32,
 ) -> bool {
@@ -47,7 +46,7 @@ pub(crate) fn fails_alpha_test(
     if !has_flags(material, MaterialFlags::MASK) {
         return false;
     }
-    base_color_at(scene, material, &triangle_point(scene, instance, triangle, u, v)).w < material.alpha_cutoff
+    base_color_at(scene, material, &triangle_point(scene, instance, primitive, u, v)).w < material.alpha_cutoff
 }
 
 /// The part of the light that goes on through a candidate of a shadow ray: all through a hole, what alpha leaves open, and
@@ -55,12 +54,12 @@ pub(crate) fn fails_alpha_test(
 pub(crate) fn surface_transmittance(
     scene: &KernelScene<'_>,
     instance: &InstanceRecord,
-    triangle: &Triangle,
+    primitive: u32,
     u: f32,
     v: f32,
 ) -> Vec3 {
     let material = &scene.materials[instance.material as usize];
-    let place = triangle_point(scene, instance, triangle, u, v);
+    let place = triangle_point(scene, instance, primitive, u, v);
     let base_color = base_color_at(scene, material, &place);
     if has_flags(material, MaterialFlags::MASK) && base_color.w < material.alpha_cutoff {
         return Vec3::ONE;

@@ -7,6 +7,7 @@ mod light;
 mod material;
 pub(crate) mod math;
 mod offset;
+mod query;
 mod rope;
 mod sky;
 mod surface;
@@ -19,15 +20,18 @@ mod wide;
 pub(crate) use camera::camera_ray;
 pub(crate) use intersect::{
     BOX_ENTRY_SCALE, CORNER_TOLERANCE, EDGE_TOLERANCE, MIN_COMPONENT, MIN_RELATIVE_COMPONENT, SQRT_MAX_QUOTIENT,
-    SlabRay, intersect_triangle, intersects_box, max_component, shear_ray, slab_ray,
+    SlabRay, TriangleHit, intersects_box, max_component, shear_ray, slab_ray,
 };
 pub(crate) use light::LightSample;
 pub(crate) use material::fails_alpha_test;
-pub(crate) use traversal_state::TraversalCounter;
-pub(crate) use traverse::{
-    RayQueries, accept_hit, any_hit, candidate_transmittance, closest_hit, count_any_hit, count_closest_hit,
-    count_transmittance, is_before, is_layered, transmittance, transmittance_of_layers,
+#[cfg(test)]
+pub(crate) use query::is_layered;
+pub(crate) use query::{
+    AnyQuery, ClosestQuery, Query, TransmittanceQuery, candidate_hit, intersect_leaf, is_before, is_cut_out,
+    is_opaque_at,
 };
+pub(crate) use traversal_state::{TraversalCounter, TraversalRay};
+pub(crate) use traverse::{RayQueries, any_hit, closest_hit, run_query, transmittance};
 #[cfg(feature = "gpu")]
 pub(crate) use whitted::max_rays_per_pixel;
 pub(crate) use whitted::{MAX_DEPTH, Pixel, RayTree, SurfaceHit, active_lights, render_pixel};
@@ -95,6 +99,7 @@ mod tests {
         InstanceFlags, LIGHT_DIRECTIONAL, LIGHT_POINT, LIGHT_SPOT, MaterialFlags, NONE, Node, TextureFlags,
     };
     use crate::device::{MAX_MIRROR_ROUGHNESS, Needs};
+    use crate::trace::kernel::query::VisitOrder;
     use crate::trace::shader::EntryPoint;
 
     /// Constants by name: `{:?}` writes as many digits as tell an `f32` from its neighbours, and a point.
@@ -125,6 +130,8 @@ mod tests {
         let others = [
             ("NONE", NONE.to_string()),
             ("UNUSED_COORDINATE", format!("{:?}", Node::UNUSED_COORDINATE)),
+            ("NEAR_FIRST", (VisitOrder::NearFirst as u32).to_string()),
+            ("ANY_ORDER", (VisitOrder::Any as u32).to_string()),
             ("LIGHT_POINT", LIGHT_POINT.to_string()),
             ("LIGHT_SPOT", LIGHT_SPOT.to_string()),
             ("LIGHT_DIRECTIONAL", LIGHT_DIRECTIONAL.to_string()),

@@ -46,7 +46,7 @@ pub(crate) fn surface_at(scene: &KernelScene<'_>, hit: &HitRecord, direction: Ve
     let instance = &scene.instances[hit.instance as usize];
     let triangle = &scene.triangles[hit.triangle as usize];
     let material = &scene.materials[instance.material as usize];
-    let place = triangle_point(scene, instance, triangle, hit.u, hit.v);
+    let place = triangle_point(scene, instance, triangle.primitive, hit.u, hit.v);
     let anchor = hit_point(instance, triangle, place.weights, -direction);
 
     let back = dot3(direction, anchor.normal) > 0.0;

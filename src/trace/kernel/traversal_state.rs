@@ -21,7 +21,7 @@ pub(super) trait LeafTraversal {
 }
 
 /// The ray and the instance that it is in.
-pub(super) struct TraversalRay {
+pub(crate) struct TraversalRay {
     /// The ray in world space.
     pub world_ray: SlabRay,
     /// The ray in the space of the level that it is in.
@@ -38,7 +38,7 @@ pub(super) struct TraversalRay {
 }
 
 impl TraversalRay {
-    pub(super) fn new(ray: &RayRecord, ray_mask: u32) -> Self {
+    pub(crate) fn new(ray: &RayRecord, ray_mask: u32) -> Self {
         let world = slab_ray(Vec3::from_array(ray.origin), Vec3::from_array(ray.direction));
         Self {
             world_ray: world,
@@ -54,7 +54,7 @@ impl TraversalRay {
     }
 
     /// Enters an instance, and returns the ray's origin and direction in its space. `None` where its mask hides it.
-    pub(super) fn enter_instance<'a>(
+    pub(crate) fn enter_instance<'a>(
         &mut self,
         scene: &KernelScene<'a>,
         index: u32,
@@ -72,7 +72,7 @@ impl TraversalRay {
         Some((instance, origin, direction))
     }
 
-    pub(super) fn leave_instance(&mut self) {
+    pub(crate) fn leave_instance(&mut self) {
         self.level_ray = self.world_ray;
         self.instance = NONE;
     }

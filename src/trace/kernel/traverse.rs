@@ -1,18 +1,21 @@
-//! The three queries, whichever [`Traversal`] is walked. Twin of `shaders/shared/traverse.wgsl`.
+//! The ray queries closest hit, any hit and transmittance, independent of the traversal. Twin of
+//! `shaders/shared/traverse.wgsl`.
 
 use glam::Vec3;
 
 use super::KernelScene;
-use super::intersect::{TriangleHit, intersect_triangle, max_component};
-use super::material::{fails_alpha_test, surface_transmittance};
+use super::intersect::max_component;
 use super::math::max;
+use super::query::{
+    AnyQuery, ClosestQuery, LayerQuery, Query, TransmittanceQuery, candidate_transmittance, intersect_leaf,
+};
 use super::rope::RopeTraversal;
-use super::traversal_state::LeafTraversal;
+use super::traversal_state::{LeafTraversal, TraversalCounter};
 use super::wide::WideTraversal;
-use crate::device::layout::{HitRecord, InstanceFlags, InstanceRecord, NONE, RayRecord, Triangle};
-use crate::trace::{Traversal, TraversalCounts};
+use crate::device::layout::{HitRecord, NONE, RayRecord};
+use crate::trace::Traversal;
 
-/// What traces the rays of a pixel.
+/// The queries by which `render_pixel` traces its rays.
 pub(crate) trait RayQueries<'a> {
     fn scene(&self) -> &'a KernelScene<'a>;
 
@@ -37,252 +40,91 @@ impl<'a> RayQueries<'a> for &'a KernelScene<'a> {
     }
 }
 
-/// The closest hit in `t_min..=t_max`; of hits at equal t the one of the lower instance, then the lower primitive.
+/// The closest hit in [t_min, t_max]; of hits at equal t the one of the lower instance, then the lower primitive.
 pub(crate) fn closest_hit(scene: &KernelScene<'_>, ray: &RayRecord, ray_mask: u32) -> HitRecord {
-    match scene.layout {
-        Traversal::Rope => find_closest(scene, &mut RopeTraversal::<()>::new(scene, ray, ray_mask), ray),
-        Traversal::Wide => find_closest(scene, &mut WideTraversal::<()>::new(scene, ray, ray_mask, true), ray),
-    }
+    let (query, ()) = run_query(scene, ray, ray_mask, ClosestQuery::new(ray.t_max));
+    query.result()
 }
 
-/// How much light gets through between `t_min` and `t_max`.
+/// Occlusion query: whether the ray hits an opaque surface in [t_min, t_max].
+pub(crate) fn any_hit(scene: &KernelScene<'_>, ray: &RayRecord, ray_mask: u32) -> bool {
+    let (query, ()) = run_query(scene, ray, ray_mask, AnyQuery::new(ray.t_max));
+    query.is_hit
+}
+
+/// Transmittance along the ray in [t_min, t_max], per colour channel: the product over all surfaces hit; 0 if one is
+/// opaque.
 pub(crate) fn transmittance(scene: &KernelScene<'_>, ray: &RayRecord, ray_mask: u32) -> Vec3 {
-    let (light, has_layers) = match scene.layout {
-        Traversal::Rope => {
-            transmittance_without_layers(scene, &mut RopeTraversal::<()>::new(scene, ray, ray_mask), ray)
-        }
-        Traversal::Wide => {
-            transmittance_without_layers(scene, &mut WideTraversal::<()>::new(scene, ray, ray_mask, false), ray)
-        }
-    };
-    if has_layers { light * transmittance_of_layers(scene, ray, ray_mask) } else { light }
+    let (query, ()) = run_query(scene, ray, ray_mask, TransmittanceQuery::new(ray.t_max));
+    query.with_layers(scene, ray, ray_mask)
 }
 
-/// How much light gets through [layered](is_layered) instances: one crossing after the other.
+/// Transmittance of [layered](super::is_layered) instances, found by repeated closest-hit traversals that each start
+/// at the last hit.
 pub(crate) fn transmittance_of_layers(scene: &KernelScene<'_>, ray: &RayRecord, ray_mask: u32) -> Vec3 {
-    let mut light = Vec3::ONE;
+    let mut transmittance = Vec3::ONE;
     let mut layer = HitRecord { t: -1.0, ..HitRecord::MISS };
     loop {
-        let rest = RayRecord { t_min: max(ray.t_min, layer.t), ..*ray };
-        layer = match scene.layout {
-            Traversal::Rope => next_layer(scene, &mut RopeTraversal::<()>::new(scene, &rest, ray_mask), &rest, &layer),
-            Traversal::Wide => {
-                next_layer(scene, &mut WideTraversal::<()>::new(scene, &rest, ray_mask, true), &rest, &layer)
-            }
-        };
+        // Find the next layer after the last one.
+        layer = next_layer(scene, ray, ray_mask, layer);
         if layer.instance == NONE {
-            return light;
+            return transmittance;
         }
-        let instance = &scene.instances[layer.instance as usize];
-        light *= surface_transmittance(scene, instance, &scene.triangles[layer.triangle as usize], layer.u, layer.v);
-        if max_component(light) <= 0.0 {
+        // Multiply by its transmittance; an opaque one ends the ray.
+        transmittance *= candidate_transmittance(scene, &layer, scene.instances[layer.instance as usize].flags);
+        if max_component(transmittance) <= 0.0 {
             return Vec3::ZERO;
         }
     }
 }
 
-/// Whether anything that lets no light through lies between `t_min` and `t_max`.
-pub(crate) fn any_hit(scene: &KernelScene<'_>, ray: &RayRecord, ray_mask: u32) -> bool {
-    match scene.layout {
-        Traversal::Rope => find_any(scene, &mut RopeTraversal::<()>::new(scene, ray, ray_mask), ray),
-        Traversal::Wide => find_any(scene, &mut WideTraversal::<()>::new(scene, ray, ray_mask, false), ray),
-    }
+/// The first hit of a [layered](super::is_layered) instance after `last`, in the order of t, instance and primitive.
+fn next_layer(scene: &KernelScene<'_>, ray: &RayRecord, ray_mask: u32, last: HitRecord) -> HitRecord {
+    let rest = RayRecord { t_min: max(ray.t_min, last.t), ..*ray };
+    let (query, ()) = run_query(scene, &rest, ray_mask, LayerQuery::new(ray.t_max, last));
+    query.hit
 }
 
-/// What [`closest_hit`] costs.
-pub(crate) fn count_closest_hit(scene: &KernelScene<'_>, ray: &RayRecord, ray_mask: u32) -> TraversalCounts {
-    match scene.layout {
-        Traversal::Rope => {
-            let mut walk = RopeTraversal::<TraversalCounts>::new(scene, ray, ray_mask);
-            find_closest(scene, &mut walk, ray);
-            walk.counter
-        }
-        Traversal::Wide => {
-            let mut walk = WideTraversal::<TraversalCounts>::new(scene, ray, ray_mask, true);
-            find_closest(scene, &mut walk, ray);
-            walk.counter
-        }
-    }
-}
-
-/// What [`any_hit`] costs.
-pub(crate) fn count_any_hit(scene: &KernelScene<'_>, ray: &RayRecord, ray_mask: u32) -> TraversalCounts {
-    match scene.layout {
-        Traversal::Rope => {
-            let mut walk = RopeTraversal::<TraversalCounts>::new(scene, ray, ray_mask);
-            find_any(scene, &mut walk, ray);
-            walk.counter
-        }
-        Traversal::Wide => {
-            let mut walk = WideTraversal::<TraversalCounts>::new(scene, ray, ray_mask, false);
-            find_any(scene, &mut walk, ray);
-            walk.counter
-        }
-    }
-}
-
-/// What [`transmittance`] costs, [layered](is_layered) instances left out.
-pub(crate) fn count_transmittance(scene: &KernelScene<'_>, ray: &RayRecord, ray_mask: u32) -> TraversalCounts {
-    match scene.layout {
-        Traversal::Rope => {
-            let mut walk = RopeTraversal::<TraversalCounts>::new(scene, ray, ray_mask);
-            transmittance_without_layers(scene, &mut walk, ray);
-            walk.counter
-        }
-        Traversal::Wide => {
-            let mut walk = WideTraversal::<TraversalCounts>::new(scene, ray, ray_mask, false);
-            transmittance_without_layers(scene, &mut walk, ray);
-            walk.counter
-        }
-    }
-}
-
+/// Runs a query by the scene's traversal; returns its final state and what a counter counted (`()` counts nothing).
 #[inline]
-fn find_closest(scene: &KernelScene<'_>, walk: &mut impl LeafTraversal, ray: &RayRecord) -> HitRecord {
-    let mut hit = HitRecord { t: ray.t_max, ..HitRecord::MISS };
-    while let Some(leaf) = walk.next_leaf(scene, hit.t) {
-        walk.count_triangles(leaf.primitive_count());
-        let place = walk.ray();
-        let first = place.first_triangle + leaf.first_primitive();
-        for (i, triangle) in (first..).zip(&scene.triangles[first as usize..][..leaf.primitive_count() as usize]) {
-            let Some(crossing) = intersect_triangle(&place.local_shear, triangle) else { continue };
-            if crossing.t >= ray.t_min {
-                let (primitive, instance, back) = (triangle.primitive, place.instance, u32::from(crossing.back));
-                let (t, u, v) = (crossing.t, crossing.u, crossing.v);
-                let crossed =
-                    HitRecord { t, u, v, instance, primitive, triangle: i, back_face: back, ..HitRecord::MISS };
-                accept_hit(scene, &mut hit, crossed, place.flags);
-            }
+pub(crate) fn run_query<C: TraversalCounter, Q: Query>(
+    scene: &KernelScene<'_>,
+    ray: &RayRecord,
+    ray_mask: u32,
+    mut query: Q,
+) -> (Q, C) {
+    match scene.layout {
+        Traversal::Rope => {
+            let mut traversal = RopeTraversal::new(scene, ray, ray_mask);
+            intersect_leaves(scene, &mut traversal, &mut query);
+            (query, traversal.counter)
+        }
+        Traversal::Wide => {
+            let mut traversal = WideTraversal::new(scene, ray, ray_mask, Q::ORDER);
+            intersect_leaves(scene, &mut traversal, &mut query);
+            (query, traversal.counter)
         }
     }
-    if hit.instance == NONE { HitRecord::MISS } else { hit }
 }
 
-/// Takes what was crossed for the closest hit, if it is closer and there to be hit. `flags` are its instance's.
-#[inline(always)]
-pub(crate) fn accept_hit(scene: &KernelScene<'_>, hit: &mut HitRecord, crossed: HitRecord, flags: u32) {
-    if !is_before(crossed.t, crossed.instance, crossed.primitive, hit) {
-        return;
-    }
-    let flags = InstanceFlags::from_bits_retain(flags);
-    if crossed.back_face != 0 && flags.contains(InstanceFlags::CULL_BACK) {
-        return;
-    }
-    if flags.contains(InstanceFlags::ALPHA_MASK) {
-        let instance = &scene.instances[crossed.instance as usize];
-        if fails_alpha_test(scene, instance, &scene.triangles[crossed.triangle as usize], crossed.u, crossed.v) {
+/// Offers the hits in all leaves of a traversal to a query, until it is decided.
+#[inline]
+fn intersect_leaves(scene: &KernelScene<'_>, traversal: &mut impl LeafTraversal, query: &mut impl Query) {
+    while let Some(leaf) = traversal.next_leaf(scene, query.t_max()) {
+        // Layered instances are for one query and not for another.
+        if query.skips_instance(traversal.ray().flags) {
+            continue;
+        }
+        // Test each triangle; accept or reject the hits.
+        traversal.count_triangles(leaf.primitive_count());
+        let ray = traversal.ray();
+        let first = ray.first_triangle + leaf.first_primitive();
+        let triangles = &scene.triangles[first as usize..][..leaf.primitive_count() as usize];
+        intersect_leaf(scene, ray, first, triangles, query);
+        if query.is_decided() {
             return;
         }
     }
-    *hit = crossed;
-}
-
-pub(crate) fn is_before(t: f32, instance: u32, primitive: u32, hit: &HitRecord) -> bool {
-    if t != hit.t {
-        return t < hit.t;
-    }
-    (instance, primitive) < (hit.instance, hit.primitive)
-}
-
-/// How much light gets through all instances but those that are [layered](is_layered), and whether there are any of these.
-#[inline]
-fn transmittance_without_layers(
-    scene: &KernelScene<'_>,
-    walk: &mut impl LeafTraversal,
-    ray: &RayRecord,
-) -> (Vec3, bool) {
-    let mut light = Vec3::ONE;
-    let mut has_layers = false;
-    while let Some(leaf) = walk.next_leaf(scene, ray.t_max) {
-        if is_layered(walk.ray().flags) {
-            has_layers = true;
-            continue;
-        }
-        walk.count_triangles(leaf.primitive_count());
-        let place = walk.ray();
-        let first = (place.first_triangle + leaf.first_primitive()) as usize;
-        for triangle in &scene.triangles[first..][..leaf.primitive_count() as usize] {
-            let Some(crossing) = intersect_triangle(&place.local_shear, triangle) else { continue };
-            if crossing.t >= ray.t_min && crossing.t <= ray.t_max {
-                light *= crossing_transmittance(scene, place.instance, triangle, &crossing);
-                if max_component(light) <= 0.0 {
-                    return (Vec3::ZERO, false);
-                }
-            }
-        }
-    }
-    (light, has_layers)
-}
-
-/// Whether what is crossed is to be taken layer by layer: it may be met more than once, but counts once.
-pub(crate) fn is_layered(flags: u32) -> bool {
-    InstanceFlags::from_bits_retain(flags).contains(InstanceFlags::TRANSLUCENT | InstanceFlags::HAS_DUPLICATES)
-}
-
-/// The first crossing of a [layered](is_layered) instance after `last`, in the order of t, instance and primitive.
-#[inline]
-fn next_layer(scene: &KernelScene<'_>, walk: &mut impl LeafTraversal, ray: &RayRecord, last: &HitRecord) -> HitRecord {
-    let mut hit = HitRecord { t: ray.t_max, ..HitRecord::MISS };
-    while let Some(leaf) = walk.next_leaf(scene, hit.t) {
-        let place = walk.ray();
-        if !is_layered(place.flags) {
-            continue;
-        }
-        let first = place.first_triangle + leaf.first_primitive();
-        for (i, triangle) in (first..).zip(&scene.triangles[first as usize..][..leaf.primitive_count() as usize]) {
-            let Some(crossing) = intersect_triangle(&place.local_shear, triangle) else { continue };
-            let (t, instance, primitive) = (crossing.t, place.instance, triangle.primitive);
-            if t >= ray.t_min && is_after(t, instance, primitive, last) && is_before(t, instance, primitive, &hit) {
-                hit =
-                    HitRecord { t, u: crossing.u, v: crossing.v, instance, primitive, triangle: i, ..HitRecord::MISS };
-            }
-        }
-    }
-    hit
-}
-
-fn is_after(t: f32, instance: u32, primitive: u32, hit: &HitRecord) -> bool {
-    if t != hit.t {
-        return t > hit.t;
-    }
-    (instance, primitive) > (hit.instance, hit.primitive)
-}
-
-#[inline]
-fn find_any(scene: &KernelScene<'_>, walk: &mut impl LeafTraversal, ray: &RayRecord) -> bool {
-    while let Some(leaf) = walk.next_leaf(scene, ray.t_max) {
-        walk.count_triangles(leaf.primitive_count());
-        let place = walk.ray();
-        let first = (place.first_triangle + leaf.first_primitive()) as usize;
-        for triangle in &scene.triangles[first..][..leaf.primitive_count() as usize] {
-            let Some(crossing) = intersect_triangle(&place.local_shear, triangle) else { continue };
-            if crossing.t >= ray.t_min
-                && crossing.t <= ray.t_max
-                && max_component(crossing_transmittance(scene, place.instance, triangle, &crossing)) <= 0.0
-            {
-                return true;
-            }
-        }
-    }
-    false
-}
-
-fn crossing_transmittance(scene: &KernelScene<'_>, instance: u32, triangle: &Triangle, crossing: &TriangleHit) -> Vec3 {
-    candidate_transmittance(scene, &scene.instances[instance as usize], triangle, crossing.u, crossing.v)
-}
-
-/// How much light a triangle lets through at a point.
-pub(crate) fn candidate_transmittance(
-    scene: &KernelScene<'_>,
-    instance: &InstanceRecord,
-    triangle: &Triangle,
-    u: f32,
-    v: f32,
-) -> Vec3 {
-    if !InstanceFlags::from_bits_retain(instance.flags).contains(InstanceFlags::TRANSLUCENT) {
-        return Vec3::ZERO;
-    }
-    surface_transmittance(scene, instance, triangle, u, v)
 }
 
 #[cfg(test)]
@@ -291,7 +133,9 @@ mod tests {
 
     use super::*;
     use crate::device::DeviceArrays;
-    use crate::device::layout::{GeometryRecord, MaterialFlags, MaterialRecord, Node, PrimitiveRange};
+    use crate::device::layout::{
+        GeometryRecord, InstanceFlags, InstanceRecord, MaterialFlags, MaterialRecord, Node, PrimitiveRange, Triangle,
+    };
 
     /// Triangles one behind the other at z = 0, 1, 2, ..., in one leaf of one instance.
     fn layers(count: u32, material: MaterialRecord, flags: InstanceFlags) -> DeviceArrays {

@@ -21,6 +21,7 @@ use glam::Vec3;
 use super::KernelScene;
 use super::intersect::{BOX_ENTRY_SCALE, SlabRay, intersects_box, max_component, shear_ray};
 use super::math::{max, min};
+use super::query::VisitOrder;
 use super::traversal_state::{LeafTraversal, TraversalCounter, TraversalRay, tlas_root};
 use crate::accel::MAX_WIDE_DEPTH;
 use crate::device::layout::{NONE, Node, PrimitiveRange, RayRecord, WideNode};
@@ -62,7 +63,7 @@ pub(super) struct WideTraversal<C> {
 }
 
 impl<C: TraversalCounter> WideTraversal<C> {
-    pub(super) fn new(scene: &KernelScene<'_>, ray: &RayRecord, ray_mask: u32, near_first: bool) -> Self {
+    pub(super) fn new(scene: &KernelScene<'_>, ray: &RayRecord, ray_mask: u32, order: VisitOrder) -> Self {
         let mut walk = Self {
             place: TraversalRay::new(ray, ray_mask),
             tlas_next: tlas_root(scene.tlas_nodes),
@@ -78,7 +79,7 @@ impl<C: TraversalCounter> WideTraversal<C> {
             counter: C::default(),
         };
         if walk.tlas_next != NONE {
-            if near_first {
+            if order == VisitOrder::NearFirst {
                 let root = walk.read_tlas_node(scene, 0);
                 walk.tlas_next = if walk.tlas_entry_distance(root, ray.t_max) == NO_ENTRY {
                     NONE

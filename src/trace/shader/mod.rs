@@ -66,13 +66,13 @@ impl KernelVariant {
     }
 
     /// The files that declare, intersect and traverse the scene.
-    fn scene_files(&self) -> [&'static str; 5] {
+    fn scene_files(&self) -> [&'static str; 6] {
         let traversal = match self.traversal {
             Traversal::Rope => include_str!("../../../shaders/shared/rope.wgsl"),
             Traversal::Wide => include_str!("../../../shaders/shared/wide.wgsl"),
         };
-        let [types, math, intersect, traverse] = SCENE;
-        [types, math, intersect, traversal, traverse]
+        let [types, math, intersect, query, traverse] = SCENE;
+        [types, math, intersect, traversal, query, traverse]
     }
 
     /// Generated declarations that all files rely on: a constant for each flag of [`Needs`], `NEEDS_TEXTURES` for
@@ -89,11 +89,12 @@ impl KernelVariant {
     }
 }
 
-/// Files of every kernel: types, math, intersection and traversal.
-const SCENE: [&str; 4] = [
+/// Files of every kernel: types, math, intersection, queries and traversal.
+const SCENE: [&str; 5] = [
     include_str!("../../../shaders/shared/types.wgsl"),
     include_str!("../../../shaders/shared/math.wgsl"),
     include_str!("../../../shaders/shared/intersect.wgsl"),
+    include_str!("../../../shaders/shared/query.wgsl"),
     include_str!("../../../shaders/shared/traverse.wgsl"),
 ];
 
