@@ -55,7 +55,7 @@ use crate::math::{Aabb, Bounds};
 /// let mut renderer = Renderer::new(&RendererOptions { device: DeviceChoice::Cpu })?;
 /// let queries = renderer.queries(&mut scene)?;
 ///
-/// let hit = queries.closest(&Ray::new(DVec3::new(0.0, 0.5, 0.0), DVec3::NEG_Z))?.unwrap();
+/// let hit = queries.closest_hit(&Ray::new(DVec3::new(0.0, 0.5, 0.0), DVec3::NEG_Z))?.unwrap();
 /// assert_eq!((hit.path.node, hit.triangle, hit.distance), (triangle, 0, 5.0));
 /// assert_eq!((hit.position, hit.back), (DVec3::new(0.0, 0.5, -5.0), false));
 ///
