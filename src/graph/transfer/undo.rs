@@ -143,6 +143,7 @@ impl Scene {
     /// [`Error::Transaction`] within a transaction: let that end first.
     pub fn redo(&mut self) -> Result<Option<String>> {
         self.require_no_transaction(HistoryStep::Redo)?;
+        // As undo, from the redo stack to the undo stack.
         let Some(group) = self.journal.history.as_mut().and_then(|history| history.redo_groups.pop()) else {
             return Ok(None);
         };

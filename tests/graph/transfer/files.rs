@@ -150,7 +150,7 @@ fn tampered_files() {
             Err(error) => {
                 refused.set(refused.get() + 1);
                 let fault = fault(&error, &path);
-                assert!(["Encoding", "Misfit"].contains(&fault.as_str()), "{error}");
+                assert!(["Encoding", "Mismatch"].contains(&fault.as_str()), "{error}");
             }
         }
         Ok(())
