@@ -51,8 +51,8 @@ pub(super) enum Selection<'a> {
 }
 
 impl<'a> Accessors<'a> {
-    /// Checks that every accessor lies within its buffer views, and reads the sparse indices. O(accessors + sparse
-    /// indices).
+    /// Checks that every accessor lies within its buffer views, and reads the sparse indices.
+    /// O(accessors + sparse indices).
     pub(super) fn new(document: &Document, buffers: &'a Buffers, budget: &mut Budget) -> Result<Self> {
         let check = |index| AccessorData::new(document, buffers, budget, index);
         let elements = (0..document.accessors.len()).map(check).collect::<Result<_>>()?;

@@ -82,7 +82,7 @@ impl App {
             loading: None,
             events: Vec::new(),
         };
-        app.tell_device();
+        app.report_fallback();
         Ok(app)
     }
 
@@ -117,7 +117,7 @@ impl App {
     pub(crate) fn show(&mut self, loaded: LoadedScene) {
         let LoadedScene { scene, title, view, warning_count } = loaded;
         if warning_count > 0 {
-            self.messages.tell(format!("{title}: {warning_count} warnings about the file"));
+            self.messages.inform(format!("{title}: {warning_count} warnings about the file"));
         }
         self.events.push(json!({ "event": "opened", "title": title, "nodes": scene.node_count() }));
         (self.scene, self.title, self.home) = (scene, title, view);
@@ -200,7 +200,7 @@ impl App {
     /// Changes the device.
     pub(crate) fn use_device(&mut self, choice: DeviceChoice) {
         match self.drawing.choose(choice) {
-            Ok(()) => self.tell_device(),
+            Ok(()) => self.report_fallback(),
             Err(error) => self.fail(&error.to_string()),
         }
     }
@@ -214,7 +214,7 @@ impl App {
         };
         match saved {
             Ok(()) => {
-                self.messages.tell(format!("Saved {}", path.display()));
+                self.messages.inform(format!("Saved {}", path.display()));
                 self.events.push(json!({ "event": "saved", "path": path }));
             }
             Err(error) => self.fail(&error.to_string()),
@@ -330,16 +330,16 @@ impl App {
     pub(crate) fn undo(&mut self) {
         self.end_group();
         let undone = self.scene.undo();
-        self.tell_history("undone", undone);
+        self.report_history("undone", undone);
     }
 
     pub(crate) fn redo(&mut self) {
         self.end_group();
         let redone = self.scene.redo();
-        self.tell_history("redone", redone);
+        self.report_history("redone", redone);
     }
 
-    fn tell_history(&mut self, event: &str, outcome: ropewalk::Result<Option<String>>) {
+    fn report_history(&mut self, event: &str, outcome: ropewalk::Result<Option<String>>) {
         self.selection = self.selection.filter(|&node| self.scene.contains(node));
         match outcome {
             Ok(Some(name)) => self.events.push(json!({ "event": event, "name": name })),
@@ -354,9 +354,9 @@ impl App {
         self.events.push(json!({ "event": "error", "message": message }));
     }
 
-    fn tell_device(&mut self) {
+    fn report_fallback(&mut self) {
         if let Some(reason) = &self.drawing.fallback {
-            self.messages.tell(format!("Tracing on the CPU: {reason}"));
+            self.messages.inform(format!("Tracing on the CPU: {reason}"));
         }
     }
 }

@@ -23,7 +23,7 @@ const LIFETIME: Duration = Duration::from_secs(5);
 const MAX_MESSAGES: usize = 6;
 
 impl Messages {
-    pub(crate) fn tell(&mut self, text: impl Into<String>) {
+    pub(crate) fn inform(&mut self, text: impl Into<String>) {
         self.push(text.into(), false);
     }
 
@@ -66,7 +66,7 @@ mod tests {
     #[test]
     fn messages_expire_and_errors_stay() {
         let mut messages = Messages::default();
-        messages.tell("a message");
+        messages.inform("a message");
         messages.fail("an error");
         messages.fail("an error");
         let now = Instant::now();

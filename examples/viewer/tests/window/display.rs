@@ -11,7 +11,7 @@ use x11rb::protocol::xproto::{
 use x11rb::protocol::xtest::ConnectionExt as _;
 use x11rb::rust_connection::RustConnection;
 
-/// Keys, by the numbers that X gives to their signs.
+/// Key symbols of X11.
 pub(crate) const CONTROL: u32 = 0xffe3;
 /// As [`CONTROL`].
 pub(crate) const HOME: u32 = 0xff50;
@@ -19,14 +19,14 @@ pub(crate) const HOME: u32 = 0xff50;
 /// A running X server of our own.
 pub(crate) struct Display {
     server: Child,
-    /// What programs find it by: ":5".
+    /// The value of the environment variable DISPLAY: ":5".
     pub(crate) name: String,
     connection: RustConnection,
     root: Window,
 }
 
 impl Display {
-    /// Starts one; `None` where Xvfb is not installed, unless `ROPEWALK_REQUIRE_WINDOW` says that it must be.
+    /// Starts one; `None` if Xvfb is not installed. Panics then if `ROPEWALK_REQUIRE_WINDOW` is set.
     pub(crate) fn start() -> Option<Self> {
         let mut command = Command::new("Xvfb");
         command.args(["-displayfd", "1", "-screen", "0", "1024x768x24", "-nolisten", "tcp"]);
@@ -64,7 +64,7 @@ impl Display {
         self.sync();
     }
 
-    /// Presses the left button, or lets it go.
+    /// Presses or releases the left button.
     pub(crate) fn button(&self, press: bool) {
         let event = if press { BUTTON_PRESS_EVENT } else { BUTTON_RELEASE_EVENT };
         self.connection.xtest_fake_input(event, 1, 0, self.root, 0, 0, 0).unwrap();
@@ -82,7 +82,7 @@ impl Display {
         }
     }
 
-    /// What is on the screen there, row by row.
+    /// The pixels of a rectangle (left, top, width, height) of the screen, row by row.
     pub(crate) fn screenshot(&self, [x, y, width, height]: [u16; 4]) -> Vec<[u8; 4]> {
         let format = ImageFormat::Z_PIXMAP;
         let image = self.connection.get_image(format, self.root, x as i16, y as i16, width, height, u32::MAX);
@@ -101,11 +101,11 @@ impl Display {
         let count = setup.max_keycode - setup.min_keycode + 1;
         let mapping = self.connection.get_keyboard_mapping(setup.min_keycode, count).unwrap().reply().unwrap();
         let per_code = usize::from(mapping.keysyms_per_keycode);
-        let place = mapping.keysyms.chunks(per_code).position(|signs| signs.contains(&key)).expect("no such key");
-        setup.min_keycode + place as u8
+        let index = mapping.keysyms.chunks(per_code).position(|symbols| symbols.contains(&key)).expect("no such key");
+        setup.min_keycode + index as u8
     }
 
-    /// Waits until the server has done what it was asked.
+    /// Waits until the server has processed all requests.
     fn sync(&self) {
         self.connection.get_input_focus().unwrap().reply().unwrap();
     }

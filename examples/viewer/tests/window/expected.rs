@@ -1,4 +1,4 @@
-//! What the library renders of the same scene, without a window.
+//! The picture of the same scene, rendered by the library without a window.
 
 use ropewalk::glam::DVec3;
 use ropewalk::image::Image;
@@ -15,7 +15,7 @@ pub(crate) struct Expected {
 }
 
 impl Expected {
-    /// In a picture of this size.
+    /// The built-in scene, for pictures of this size.
     pub(crate) fn new(width: u16, height: u16) -> Self {
         let mut scene = Scene::new();
         let camera = builtin::build(&mut scene).unwrap();
@@ -30,7 +30,7 @@ impl Expected {
         self.renderer.render(&mut self.scene, &self.view).unwrap().image().unwrap()
     }
 
-    /// The ball that covers most of the picture, and the pixel in the middle of what is seen of it.
+    /// The ball that covers most of the picture, and the pixel in the middle of its visible part.
     pub(crate) fn largest_ball(&mut self) -> (NodeKey, [u32; 2]) {
         let image = self.render();
         let balls = self.scene.find("balls").unwrap();
@@ -44,7 +44,7 @@ impl Expected {
         (ball, *nearest)
     }
 
-    /// Where a point of the world is in the picture, from its upper left corner.
+    /// The position in the picture of a point in world space, in pixels from the upper left corner.
     pub(crate) fn position_of(&self, point: DVec3) -> [f64; 2] {
         let Camera::Perspective { y_fov, aspect: None, .. } = self.view.camera else {
             panic!("{:?}", self.view.camera)
@@ -56,13 +56,13 @@ impl Expected {
     }
 }
 
-/// The pixels in which a node is seen.
+/// The pixels in which a node is visible.
 fn pixels_of(image: &Image, node: NodeKey) -> Vec<[u32; 2]> {
     let pixels = (0..image.height).flat_map(|y| (0..image.width).map(move |x| [x, y]));
     pixels.filter(|&[x, y]| image.node_at(x, y) == Some(node)).collect()
 }
 
-/// How different two pictures look, 0 to 1.
+/// The mean FLIP difference of two pictures, 0 to 1.
 pub(crate) fn difference(width: u16, a: &[[u8; 4]], b: &[[u8; 4]]) -> f32 {
     let differences = flip(width.into(), a, b, PIXELS_PER_DEGREE).unwrap();
     differences.iter().sum::<f32>() / differences.len() as f32

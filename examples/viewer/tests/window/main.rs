@@ -1,6 +1,6 @@
-//! The viewer in a real window, used as a user does: with pointer and keys, looking at the screen.
+//! The viewer in a real window, by simulated pointer and keyboard input and screenshots.
 //!
-//! Needs Xvfb and a Vulkan driver, a software one too; without Xvfb each test says that it is skipped.
+//! Needs Xvfb and a Vulkan driver, which may be a software one; without Xvfb each test reports that it is skipped.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 #[path = "../../../render/builtin/mod.rs"]
@@ -19,12 +19,12 @@ use display::{CONTROL, Display, HOME};
 use expected::{Expected, difference};
 use viewer::Viewer;
 
-/// Pictures that differ less look the same: 8 bit rounding, and the tie band of two executors.
+/// Pictures with a smaller difference are equal up to 8-bit rounding and the tie band of two executors.
 const SAME: f32 = 0.004;
-/// Pictures that differ more are of different things: at least a ball has moved.
+/// Pictures with a larger difference show different scenes or views: at least a ball has moved.
 const OTHER: f32 = 0.02;
 
-/// How long what was drawn may be on its way to the screen. News are shown for 5 s over it.
+/// The longest time until a drawn picture is on the screen. Messages cover it for 5 s.
 const PATIENCE: Duration = Duration::from_secs(12);
 
 const SMALL: [&str; 4] = ["--size", "880x380", "--samples", "1"];
@@ -35,11 +35,11 @@ fn what_is_clicked_is_selected_and_what_is_dragged_moves_until_it_is_undone() {
     let folder = tempfile::tempdir().unwrap();
     let saved = folder.path().join("saved.png");
     let viewer = start(&display, &["--device", "cpu", "--save", saved.to_str().unwrap()]);
-    let place @ [left, top, width, height] = viewer.wait_for_rest(&display);
+    let picture_rect @ [left, top, width, height] = viewer.wait_for_rest(&display);
     let mut expected = Expected::new(width, height);
 
-    // 1. The screen shows what the library renders, and so does the saved file.
-    let first = shown(&display, place, &expected.render().to_rgba8(), "at first");
+    // 1. The screen and the saved file show the picture that the library renders.
+    let first = shown(&display, picture_rect, &expected.render().to_rgba8(), "at first");
     display.keys(&[CONTROL, u32::from('s')]);
     viewer.wait("saved");
     let file = image::open(&saved).unwrap().to_rgba8();
@@ -47,7 +47,7 @@ fn what_is_clicked_is_selected_and_what_is_dragged_moves_until_it_is_undone() {
     let file: Vec<[u8; 4]> = file.pixels().map(|pixel| pixel.0).collect();
     assert_eq!(file, expected.render().to_rgba8(), "the saved file");
 
-    // 2. A click selects what is seen there.
+    // 2. A click selects the visible node.
     let (ball, pixel) = expected.largest_ball();
     let on_screen = |[x, y]: [u32; 2]| [left as i16 + x as i16, top as i16 + y as i16];
     display.point(on_screen(pixel));
@@ -56,8 +56,8 @@ fn what_is_clicked_is_selected_and_what_is_dragged_moves_until_it_is_undone() {
     assert_eq!(viewer.wait("selected")["node"], json!(ball));
 
     // 3. A drag moves it with the pointer.
-    let way = [-40_i32, -30];
-    let along = |step: i32| [0, 1].map(|i| (pixel[i] as i32 + way[i] * step / 10) as u32);
+    let offset = [-40_i32, -30];
+    let along = |step: i32| [0, 1].map(|i| (pixel[i] as i32 + offset[i] * step / 10) as u32);
     display.button(true);
     (1..=10).for_each(|step| display.point(on_screen(along(step))));
     display.button(false);
@@ -81,18 +81,18 @@ fn what_is_clicked_is_selected_and_what_is_dragged_moves_until_it_is_undone() {
     }
     expected.scene.set_local(transform, local.with_translation(now)).unwrap();
     let image = expected.render();
-    let second = shown(&display, place, &image.to_rgba8(), "after the drag");
+    let second = shown(&display, picture_rect, &image.to_rgba8(), "after the drag");
     assert_other(width, &second, &first, "the drag");
 
     // 4. Undo, redo.
     display.keys(&[CONTROL, u32::from('z')]);
     assert_eq!(viewer.wait("undone")["name"], "move");
     viewer.wait_for_rest(&display);
-    shown(&display, place, &first, "undone");
+    shown(&display, picture_rect, &first, "undone");
     display.keys(&[CONTROL, u32::from('y')]);
     viewer.wait("redone");
     viewer.wait_for_rest(&display);
-    shown(&display, place, &second, "redone");
+    shown(&display, picture_rect, &second, "redone");
 
     // 5. A drag beside the selection turns the camera, and the scene stays as it is.
     let sky = on_screen([u32::from(width) / 2, 4]);
@@ -102,19 +102,19 @@ fn what_is_clicked_is_selected_and_what_is_dragged_moves_until_it_is_undone() {
     display.button(false);
     viewer.wait_for_rest(&display);
     std::thread::sleep(Duration::from_millis(300));
-    assert_other(width, &display.screenshot(place), &second, "turning");
+    assert_other(width, &display.screenshot(picture_rect), &second, "turning");
     display.keys(&[HOME]);
     viewer.wait_for_rest(&display);
-    shown(&display, place, &second, "back home");
+    shown(&display, picture_rect, &second, "back home");
 }
 
 #[test]
 fn the_gpu_shows_its_frames_where_they_are() {
     let Some(display) = Display::start() else { return };
     let viewer = start(&display, &["--device", "gpu", "--size", "760x280"]);
-    let place @ [_, _, width, height] = viewer.wait_for_rest(&display);
+    let picture_rect @ [_, _, width, height] = viewer.wait_for_rest(&display);
     let expected = Expected::new(width, height).render().to_rgba8();
-    shown(&display, place, &expected, "traced by the GPU");
+    shown(&display, picture_rect, &expected, "traced by the GPU");
 }
 
 #[test]
@@ -142,13 +142,13 @@ fn start(display: &Display, arguments: &[&str]) -> Viewer {
     viewer
 }
 
-/// Waits until the screen shows a picture there: what was drawn is on its way. Returns what the screen shows.
+/// Waits until the screen shows a picture in a rectangle (left, top, width, height), and returns the pixels there.
 #[track_caller]
-fn shown(display: &Display, place: [u16; 4], picture: &[[u8; 4]], what: &str) -> Vec<[u8; 4]> {
+fn shown(display: &Display, picture_rect: [u16; 4], picture: &[[u8; 4]], what: &str) -> Vec<[u8; 4]> {
     let start = Instant::now();
     loop {
-        let screen = display.screenshot(place);
-        let difference = difference(place[2], picture, &screen);
+        let screen = display.screenshot(picture_rect);
+        let difference = difference(picture_rect[2], picture, &screen);
         if difference < SAME {
             return screen;
         }
@@ -156,7 +156,14 @@ fn shown(display: &Display, place: [u16; 4], picture: &[[u8; 4]], what: &str) ->
             let [expected, actual] = [("expected", picture), ("actual", &screen)].map(|(name, pixels)| {
                 let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("{what} - {name}.png"));
                 let bytes = pixels.as_flattened();
-                image::save_buffer(&path, bytes, place[2].into(), place[3].into(), image::ColorType::Rgba8).unwrap();
+                image::save_buffer(
+                    &path,
+                    bytes,
+                    picture_rect[2].into(),
+                    picture_rect[3].into(),
+                    image::ColorType::Rgba8,
+                )
+                .unwrap();
                 path
             });
             panic!(

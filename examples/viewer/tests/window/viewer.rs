@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use crate::display::Display;
 
-/// Longer than anything takes, on a slow machine with other work.
+/// Longer than any step takes on a slow, busy machine.
 const PATIENCE: Duration = Duration::from_secs(120);
 
 /// A running viewer.
@@ -49,7 +49,7 @@ impl Viewer {
         }
     }
 
-    /// Waits until all rays of what is to be seen were traced, and returns where in the window the picture is.
+    /// Waits until the picture is final, and returns its rectangle in the window (left, top, width, height).
     #[track_caller]
     pub(crate) fn wait_for_rest(&self, display: &Display) -> [u16; 4] {
         loop {
@@ -57,7 +57,7 @@ impl Viewer {
             if event["block"] == 1 {
                 return serde_json::from_value(event["viewport"].clone()).unwrap();
             }
-            // The machine is slow: the viewer waits to be told that it may take its time.
+            // The machine is slow: ask the viewer to trace all rays however long that takes.
             display.keys(&[u32::from('r')]);
         }
     }
