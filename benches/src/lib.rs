@@ -7,6 +7,7 @@ pub mod bvh_shape;
 pub mod embree;
 #[cfg(feature = "gpu")]
 pub mod gpu;
+pub mod kernel_counts;
 pub mod layouts;
 pub mod rays;
 pub mod runner;
@@ -41,7 +42,8 @@ pub struct Options {
     /// Exit with an error if a goal is missed.
     #[arg(long)]
     pub strict: bool,
-    /// Let a software renderer pass for a GPU where there is none, under its own name: to try a benchmark out, not to quote.
+    /// Let a software renderer pass for a GPU where there is none, under its own name: to try a benchmark out, not to
+    /// quote.
     #[cfg(feature = "gpu")]
     #[arg(long)]
     pub software: bool,

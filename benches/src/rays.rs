@@ -56,8 +56,8 @@ pub struct RaySets([Vec<RayRecord>; 4]);
 
 /// Rays that one task traces.
 const CHUNK: usize = 1 << 12;
-/// How far from a surface a ray starts, in units of the largest coordinate of the surface or the eye: more than any tracer's
-/// error.
+/// How far from a surface a ray starts, in units of the largest coordinate of the surface or the eye: more than any
+/// tracer's error.
 const OFFSET: f32 = 1.0 / (1 << 16) as f32;
 /// How much of the way to the light a shadow ray goes.
 const TO_LIGHT: f32 = 1.0 - 1.0 / (1 << 12) as f32;
@@ -142,7 +142,8 @@ impl Differences {
     }
 }
 
-/// Where a ray meets a triangle, either side, before `t_max`: Möller and Trumbore's test, for those who bring none of their own.
+/// Where a ray meets a triangle, either side, before `t_max`: Möller and Trumbore's test, for those who bring none of
+/// their own.
 #[inline]
 pub fn meet(ray: &RayRecord, [v0, v1, v2]: &[Vec3; 3], t_max: f32) -> Option<f32> {
     let [origin, direction] = [ray.origin, ray.direction].map(Vec3::from_array);
@@ -212,7 +213,7 @@ impl Surface {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::layouts::{Layout, LayoutScene, paper_arrays};
+    use crate::layouts::{Layout, LayoutScene};
     use crate::scenes::{ImageSize, SCENES};
 
     #[test]
@@ -228,7 +229,6 @@ mod tests {
     #[test]
     fn layouts_find_what_the_kernel_finds() {
         let scene = SCENES.iter().find(|recipe| recipe.name == "sphere").unwrap().load(ImageSize::Paper).unwrap();
-        let paper = paper_arrays(scene.arrays()).unwrap();
         let sets = RaySets::new(&scene).unwrap();
         for kind in RayKind::ALL {
             let rays: Vec<RayRecord> = sets.of(kind).iter().step_by(7).copied().collect();
@@ -241,9 +241,7 @@ mod tests {
                 RayKind::Mirror | RayKind::Diffuse => 0.0..1e-9,
             };
             assert!(expected.contains(&hit_share), "{kind:?}: {hit_share}");
-            let mut scenes = vec![LayoutScene::new(&paper, Layout::Rope, Layout::Rope)];
-            scenes.extend(Layout::ALL.map(|layout| LayoutScene::new(scene.arrays(), layout, layout)));
-            for laid_out in scenes {
+            for laid_out in Layout::ALL.map(|layout| LayoutScene::new(scene.arrays(), layout)) {
                 let (answers, totals) = laid_out.trace(&rays, kind.is_any_hit());
                 let Differences { verdicts, distances } = Differences::between(&truth, &answers);
                 // Möller and Trumbore's test loses a ray at an edge now and then.
