@@ -1,8 +1,8 @@
 //! Meshes that deform frame after frame: refit against rebuild, and what rays cost when refits go on.
 //!
-//! First the time to follow a mesh whose vertices have all moved, in turns with the crate `obvhs`. Then frames of a motion, in
-//! which a structure is refitted until its cost has grown by some factor and then built anew: how often that happens, and how
-//! many nodes and triangles rays meet, in units of a structure that is built for each frame.
+//! First the time to follow a mesh whose vertices have all moved, in turns with the crate `obvhs`. Then frames of a
+//! motion, in which a structure is refitted until its cost has grown by some factor and then built anew: how often that
+//! happens, and how many nodes and triangles rays meet, in units of a structure that is built for each frame.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -217,7 +217,8 @@ fn decay(mesh: &Mesh, report: &mut Report) {
     }
 }
 
-/// Nodes fetched and, at their cost, triangles tested, by rays from all around to random triangles, up to the first hit.
+/// Nodes fetched and, at their cost, triangles tested, by rays from all around to random triangles, up to the first
+/// hit.
 fn ray_cost(blas: &Blas) -> f64 {
     let mut random = fastrand::Rng::with_seed(1);
     let mut signed = || random.f32() * 2.0 - 1.0;

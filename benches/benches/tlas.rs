@@ -1,7 +1,7 @@
 //! Top level: build, refit and patch, against the crate `obvhs`.
 //!
-//! Random boxes; all that is compared is built over the same ones, on all threads, and its cost computed by one function. A
-//! build starts from boxes and ends with all that later updates need.
+//! Random boxes; all that is compared is built over the same ones, on all threads, and its cost computed by one
+//! function. A build starts from boxes and ends with all that later updates need.
 
 use std::process::ExitCode;
 use std::time::{Duration, Instant};

@@ -1,5 +1,5 @@
-//! The box of a placed geometry: how long it takes to find, and how much smaller it is than that around the corners of the
-//! geometry's own box.
+//! The box of a placed geometry: how long it takes to find, and how much smaller it is than that around the corners of
+//! the geometry's own box.
 
 use std::path::PathBuf;
 use std::process::ExitCode;

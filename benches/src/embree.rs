@@ -100,8 +100,8 @@ pub struct Embree {
 }
 
 impl Embree {
-    /// Loads the library from the folder `ROPEWALK_EMBREE`, or from `target/embree`. Scenes are built on so many threads;
-    /// 0 for all. Rays are traced on the thread that calls.
+    /// Loads the library from the folder `ROPEWALK_EMBREE`, or from `target/embree`. Scenes are built on so many
+    /// threads; 0 for all. Rays are traced on the thread that calls.
     ///
     /// # Errors
     /// There is none, and how to fetch it.
@@ -215,8 +215,8 @@ pub trait Batch {
     /// Traces them.
     fn trace(&mut self, scene: &Scene<'_>, is_coherent: bool);
 
-    /// What the last trace found, as [`closest_answer`](crate::rays::closest_answer) and [`any_answer`](crate::rays::any_answer)
-    /// have it.
+    /// What the last trace found, as [`closest_answer`](crate::rays::closest_answer) and
+    /// [`any_answer`](crate::rays::any_answer) have it.
     fn answers(&self) -> Vec<f32>;
 }
 

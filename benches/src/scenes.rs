@@ -213,7 +213,8 @@ pub(crate) fn leaves(nodes: &[Node]) -> impl Iterator<Item = (usize, usize)> {
 }
 
 impl Recipe {
-    /// Loads or makes the scene and compiles it. Every material is opaque and has two sides, so that all peers are asked the same.
+    /// Loads or makes the scene and compiles it. Every material is opaque and has two sides, so that all peers are
+    /// asked the same.
     ///
     /// # Errors
     /// A file is missing or damaged.

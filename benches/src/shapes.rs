@@ -58,8 +58,8 @@ pub fn geometry_core(scene: &mut Scene, geometry: Geometry) -> Result<CoreKey> {
     Ok(scene.add_core(Core::Geometry { geometry, material })?)
 }
 
-/// Copies of a geometry, turned at random, scaled so that the cube that holds their centres has a side of 1. `overlap`: the boxes of all
-/// together, in volumes of the cube.
+/// Copies of a geometry, turned at random, scaled so that the cube that holds their centres has a side of 1. `overlap`:
+/// the boxes of all together, in volumes of the cube.
 ///
 /// # Errors
 /// As [`Scene::add_geometry`].

@@ -19,8 +19,8 @@ fn union(boxes: &[Aabb]) -> Aabb {
     boxes.iter().fold(Aabb::EMPTY, |a, b| a.union(*b))
 }
 
-/// The cost of the tree that splits greedily at the best of all planes between sorted centres, in units of fetching a node:
-/// both children of an inner node are fetched.
+/// The cost of the tree that splits greedily at the best of all planes between sorted centres, in units of fetching a
+/// node: both children of an inner node are fetched.
 fn full_sweep_cost(boxes: &mut [Aabb]) -> f64 {
     let area = half_area(&union(boxes));
     let triangle_cost = f64::from(PARAMS.triangle_cost);
@@ -147,7 +147,8 @@ fn nodes_that_save_nothing_are_left_out() {
         let (inner, binary) = (stats.node_count - stats.leaf_count, stats.leaf_count - 1);
         println!("{name}: {inner} inner nodes of {binary}");
         assert!(inner * 4 < binary * 3, "{name}: {inner} inner nodes of {binary}");
-        // Each node that is left saves fetches, but for those that the limit of children has kept: full ones, or below one.
+        // Each node that is left saves fetches, but for those that the limit of children has kept: full ones, or below
+        // one.
         let shares = shares(&blas.nodes);
         let useless = shares.iter().filter(|(share, children)| *children as f64 * (1.0 - share) < 0.99).count();
         assert!(shares.len() > 500 && useless * 20 < shares.len(), "{name}: {useless} of {}", shares.len());

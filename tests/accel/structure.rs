@@ -1,4 +1,5 @@
-//! Bottom-level structures are whole: every triangle in one leaf, every box around what is in it, escape indices in order.
+//! Bottom-level structures are whole: every triangle in one leaf, every box around what is in it, escape indices in
+//! order.
 
 use glam::Vec3;
 use ropewalk::Error;
@@ -205,7 +206,8 @@ fn validation_finds_what_is_missing_of_a_triangle() {
     once.has_duplicates = false;
     let verdict = once.validate();
     assert!(matches!(verdict, Err(BvhError::Repeated { .. })), "{verdict:?}");
-    // A part after the other becomes another triangle that is there anyway: something is not covered, or twice in a leaf.
+    // A part after the other becomes another triangle that is there anyway: something is not covered, or twice in a
+    // leaf.
     let mut found = 0;
     for (i, _) in good.triangles.iter().enumerate().filter(|(_, t)| t.primitive == repeated) {
         let mut spoilt = good.clone();

@@ -86,7 +86,8 @@ fn meets(node: &Node, origin: Vec3, direction: Vec3) -> bool {
     a.min(b).max_element().max(0.0) <= a.max(b).min_element()
 }
 
-/// Rays enter each instance whose box they meet once, and nothing else. One looks along the diagonal to where unused boxes are.
+/// Rays enter each instance whose box they meet once, and nothing else. One looks along the diagonal to where unused
+/// boxes are.
 fn check_rays(built: &Built, random: &mut Random) {
     let leaves: Vec<Node> = built.nodes.iter().filter(|n| n.primitives != PrimitiveRange::INNER).copied().collect();
     for i in 0..8 {

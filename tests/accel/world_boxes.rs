@@ -28,8 +28,8 @@ fn random_affine(random: &mut Random) -> DAffine3 {
     }
 }
 
-/// How much larger than it must be the box is on its worst side, in units of half the diagonal of the geometry's own box, as
-/// long as that is in the world. Fails where it is too small.
+/// How much larger than it must be the box is on its worst side, in units of half the diagonal of the geometry's own
+/// box, as long as that is in the world. Fails where it is too small.
 fn excess(name: &str, blas: &Blas, support: &SupportFunction, world_from_local: &DAffine3) -> f64 {
     let (expected, found) = (brute_force(blas, world_from_local), support.world_bounds(world_from_local));
     let size = Bounds::from(blas.bounds).radius();

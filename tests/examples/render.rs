@@ -1,6 +1,7 @@
 //! The example `render` as a user meets it: what it prints, its exit codes, and the files that it leaves.
 //!
-//! `cargo test` and `cargo nextest run` build the example; `cargo test --test frames` alone takes it as it was last built.
+//! `cargo test` and `cargo nextest run` build the example; `cargo test --test frames` alone takes it as it was last
+//! built.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
 use std::fs;

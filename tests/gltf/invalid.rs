@@ -7,7 +7,8 @@ use ropewalk::{Error, Scene, gltf};
 
 use ropewalk_testkit::corpus::{gltf_files, scenes};
 
-/// Of files that the validator calls wrong, those that must not be accepted, by its codes: the tree, and everything out of range.
+/// Of files that the validator calls wrong, those that must not be accepted, by its codes: the tree, and everything out
+/// of range.
 const NEVER_ACCEPTED: &[&str] = &[
     "ACCESSOR_INDEX_OOB",
     "ACCESSOR_JOINTS_INDEX_OOB",

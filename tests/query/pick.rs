@@ -131,8 +131,8 @@ fn picking_catches_up_with_the_scene() {
     assert!(removed.len() > 3, "{removed:?}");
 }
 
-/// Levels of detail by the size that the view gives them, and billboards: what the view draws is what is picked, and what is
-/// asked after that.
+/// Levels of detail by the size that the view gives them, and billboards: what the view draws is what is picked, and
+/// what is asked after that.
 #[test]
 fn queries_see_the_levels_that_were_drawn() {
     let mut scene = Scene::new();

@@ -11,7 +11,8 @@ use ropewalk::{Bounds, Camera, NodePath, Queries, Region, View};
 use super::scenes::{Dice, Seed, World, check, compiled, drawn};
 use ropewalk_testkit::Random;
 
-/// A convex body with its corners, the directions of its edges and the normals of its faces. Relative to the render origin.
+/// A convex body with its corners, the directions of its edges and the normals of its faces. Relative to the render
+/// origin.
 struct Body {
     corners: Vec<DVec3>,
     edges: Vec<DVec3>,
@@ -139,7 +140,8 @@ fn regions_agree_with_separating_axes() {
                 // How far the farthest corner is out: a corner is a triangle, too.
                 let corners = triangles.iter().flatten();
                 let out = corners.map(|&p| outside(&region, p + origin)).fold(f64::MIN, f64::max);
-                // The frustum's body ends at 1000 units, the frustum does not; instances of instances can be farther out.
+                // The frustum's body ends at 1000 units, the frustum does not; instances of instances can be farther
+                // out.
                 let is_far = triangles.iter().flatten().any(|p| p.length() > 500.0 * seed.unit);
                 if is_far || least.abs() < band || out.abs() < band {
                     add(&ties);

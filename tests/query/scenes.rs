@@ -1,4 +1,5 @@
-//! Random scenes: soups, closed and flat geometry under transforms of all kinds, some hidden, some masked, some singular.
+//! Random scenes: soups, closed and flat geometry under transforms of all kinds, some hidden, some masked, some
+//! singular.
 
 use glam::{DAffine3, DMat3, DQuat, DVec3, Vec4};
 use proptest::prelude::*;
@@ -138,8 +139,8 @@ pub fn compiled(scene: &mut Scene) -> (Compiler, DVec3) {
     (compiler, origin)
 }
 
-/// Rotated, mirrored, sheared, flattened to almost or exactly nothing, scaled by about `unit`; within some `reach` of the
-/// center.
+/// Rotated, mirrored, sheared, flattened to almost or exactly nothing, scaled by about `unit`; within some `reach` of
+/// the center.
 fn transform(random: &mut Random, center: DVec3, unit: f64, reach: f64) -> Transform {
     let rotation = DQuat::from_axis_angle(random.direction().as_dvec3(), f64::from(random.signed()) * 3.0);
     let mut scale = DVec3::ONE + random.in_cube().as_dvec3() * 0.7;

@@ -1,7 +1,8 @@
-//! What the `cpu` executor finds against f64: the triangle, and how far away it is. Beside it Möller and Trumbore's test in f32 on the
-//! triangle that f64 finds.
+//! What the `cpu` executor finds against f64: the triangle, and how far away it is. Beside it Möller and Trumbore's
+//! test in f32 on the triangle that f64 finds.
 //!
-//! The error of t is given twice: that of the test, from the ray as f32 has it in the instance, and all of it, from the ray in the world.
+//! The error of t is given twice: that of the test, from the ray as f32 has it in the instance, and all of it, from the
+//! ray in the world.
 
 mod oracle;
 

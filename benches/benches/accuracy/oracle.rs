@@ -89,7 +89,8 @@ fn visit(nodes: &[Node], ray: &LocalRay, mut t_max: f64, mut leaf: impl FnMut(Pr
     }
 }
 
-/// How far it truly is to the plane of a triangle, along a ray of the world, and along that ray as f32 has it in the instance.
+/// How far it truly is to the plane of a triangle, along a ray of the world, and along that ray as f32 has it in the
+/// instance.
 pub fn distances(arrays: &DeviceArrays, ray: &RayRecord, instance: u32, triangle: u32) -> [f64; 2] {
     let exact = LocalRay::new(ray).within(&arrays.instances[instance as usize]);
     let rounded = LocalRay::new(&local_ray(arrays, ray, instance));

@@ -1,9 +1,10 @@
 //! How long bottom-level structures take to build, and how good they are: Ropewalk's builders and its peers'.
 //!
-//! All get the same triangles, three corners each, and end with what their own traversal reads: ours with both of its layouts,
-//! obvhs with its triangles in the order of the leaves, as its own examples have them. Every one uses all threads that it knows to
-//! use. Two measures of quality: the surface area heuristic's cost, by one function for all whose tree can be read, and the
-//! rate of one thread on diffuse rays where a peer's is known from the benchmark `peers`: that of Embree.
+//! All get the same triangles, three corners each, and end with what their own traversal reads: ours with both of its
+//! layouts, obvhs with its triangles in the order of the leaves, as its own examples have them. Every one uses all
+//! threads that it knows to use. Two measures of quality: the surface area heuristic's cost, by one function for all
+//! whose tree can be read, and the rate of one thread on diffuse rays where a peer's is known from the benchmark
+//! `peers`: that of Embree.
 
 mod cost;
 mod peers;
@@ -95,7 +96,8 @@ fn measure(recipe: &Recipe, samples: usize, report: &mut Report) -> Result<()> {
             point.rate.map_or(String::new(), |rate| format!("{:.2}", rate * 1e-6)),
         ]);
     }
-    // For each of ours, the peer that comes nearest to being both faster and better: by how much it fails at one of them.
+    // For each of ours, the peer that comes nearest to being both faster and better: by how much it fails at one of
+    // them.
     let (ours, theirs) = points.split_at(OURS.len());
     for our in ours {
         let name = our.name.replace("ropewalk, ", "").replace('-', "_");

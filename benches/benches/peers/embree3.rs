@@ -1,5 +1,5 @@
-//! Embree 3.13 of the distribution (Debian: `libembree-dev`), with the cargo feature `embree3`. A ray at a time: its wider
-//! packets are compiled out there.
+//! Embree 3.13 of the distribution (Debian: `libembree-dev`), with the cargo feature `embree3`. A ray at a time: its
+//! wider packets are compiled out there.
 
 use std::time::Duration;
 

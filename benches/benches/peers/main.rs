@@ -1,8 +1,8 @@
 //! The same rays through Ropewalk's `cpu` executor and its peers, one thread each.
 //!
-//! All are built over the same triangles: where a scene has instances, peers get them flattened into one level, which spares
-//! them the second. Every material is opaque and has two sides. Rays are laid out for each as it takes them before the clock
-//! starts.
+//! All are built over the same triangles: where a scene has instances, peers get them flattened into one level, which
+//! spares them the second. Every material is opaque and has two sides. Rays are laid out for each as it takes them
+//! before the clock starts.
 
 mod crates;
 mod embree;
@@ -171,8 +171,8 @@ fn measure(
     times
 }
 
-/// How often as fast we are to be, and as whom: the fastest of each group. Sixteen rays at a time as Embree comes and, a goal of its
-/// own, with its flag for coherent rays.
+/// How often as fast we are to be, and as whom: the fastest of each group. Sixteen rays at a time as Embree comes and,
+/// a goal of its own, with its flag for coherent rays.
 fn rivals(kind: RayKind) -> (f64, &'static [(&'static str, &'static [Role])]) {
     const COHERENT: (&str, &[Role]) = ("embree_16_coherent", &[Role::Embree16Coherent]);
     match kind {

@@ -1,8 +1,8 @@
 //! How the rate falls as scenes grow: in triangles of one geometry, and in instances of a small one.
 //!
-//! The same bumpy sphere of ever more triangles, seen from one place: the same pixels hit, and the bumps hide the same. Copies of a
-//! small one in a cube, ever smaller, so that their boxes fill as much of the cube whatever their number; what hits grows up to
-//! all of the cube.
+//! The same bumpy sphere of ever more triangles, seen from one place: the same pixels hit, and the bumps hide the same.
+//! Copies of a small one in a cube, ever smaller, so that their boxes fill as much of the cube whatever their number;
+//! what hits grows up to all of the cube.
 
 mod chart;
 mod fit;

@@ -74,7 +74,8 @@ impl Executor<'_> {
     }
 }
 
-/// What the frame costs each of them. The packets of `cpu` and recursion have no counts of a frame, but trace the same rays.
+/// What the frame costs each of them. The packets of `cpu` and recursion have no counts of a frame, but trace the same
+/// rays.
 pub fn counts<'a>(
     executors: &[Executor<'_>],
     request: &FrameRequest,

@@ -1,9 +1,9 @@
 //! The paper's Table I: its three scenes, reflective and refractive, three levels deep, and its three claims.
 //!
-//! Time is that of tracing one frame of an unchanged scene. Sphere, bunny and dragon fill about the same part of the image, and a
-//! quarter of that from twice the distance. The renderer has no soft shadows yet: with shadows, one ray goes from each hit to one point
-//! light. Emulated and recursive run on one thread; both walk the paper's own structure, one triangle a leaf, and emulated
-//! the shipped one too.
+//! Time is that of tracing one frame of an unchanged scene. Sphere, bunny and dragon fill about the same part of the
+//! image, and a quarter of that from twice the distance. The renderer has no soft shadows yet: with shadows, one ray
+//! goes from each hit to one point light. Emulated and recursive run on one thread; both walk the paper's own
+//! structure, one triangle a leaf, and emulated the shipped one too.
 
 mod claims;
 mod frame;
@@ -23,8 +23,8 @@ use ropewalk_bench::{Contender, Options, Report, Result, finish, medians, thread
 use claims::Walks;
 use frame::Executor;
 
-/// The paper's scenes and its seconds a frame: CUDA, OpenCL, CPU (pointers and recursion), Emulated (arrays, one thread). A GTX 280
-/// and a Core 2 Quad at 2.5 GHz, 2010; soft shadows from precomputed transfer, without rays.
+/// The paper's scenes and its seconds a frame: CUDA, OpenCL, CPU (pointers and recursion), Emulated (arrays, one
+/// thread). A GTX 280 and a Core 2 Quad at 2.5 GHz, 2010; soft shadows from precomputed transfer, without rays.
 const PAPER: [(&str, [f64; 4]); 3] = [
     ("sphere", [0.105, 0.33, 17.9, 1.93]),
     ("bunny", [0.187, 0.515, 5.115, 2.01]),

@@ -1,7 +1,7 @@
 //! Scenes of a thousand to a million nodes are edited: what it takes until they can be traced again.
 //!
-//! `propagation`: world transforms, against `bevy_transform` and a plain tree in a slotmap; all move the same nodes to the
-//! same places, in turns. `ready`: the whole way from an edit to device arrays. The top level against `obvhs`: the
+//! `propagation`: world transforms, against `bevy_transform` and a plain tree in a slotmap; all move the same nodes to
+//! the same places, in turns. `ready`: the whole way from an edit to device arrays. The top level against `obvhs`: the
 //! benchmark `tlas`.
 
 #![allow(missing_docs)]

@@ -13,7 +13,8 @@ const MOST_99TH: f32 = 0.05;
 /// Compares `image` with the PNG file `golden`.
 ///
 /// # Errors
-/// Says by how much they differ, and in which files the image and its difference are kept: `run` with endings, in `failed`.
+/// Says by how much they differ, and in which files the image and its difference are kept: `run` with endings, in
+/// `failed`.
 pub(crate) fn compare(golden: &Path, image: &Image, failed: &Path, run: &str) -> Result<(), String> {
     let kept = [failed.join(format!("{run}.png")), failed.join(format!("{run}-flip.png"))];
     let [actual, difference] = [&kept[0], &kept[1]].map(|path| path.display().to_string());

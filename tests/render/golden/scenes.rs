@@ -55,8 +55,8 @@ pub(crate) fn mirror_depth(scene: &mut Scene) -> Result<View> {
     Ok(view)
 }
 
-/// Two periods of a texture with four different corners. Columns: repeated, mirrored, clamped; turned by a texture transform.
-/// Upper row: nearest texel; lower row: bilinear.
+/// Two periods of a texture with four different corners. Columns: repeated, mirrored, clamped; turned by a texture
+/// transform. Upper row: nearest texel; lower row: bilinear.
 pub(crate) fn texture_wrap(scene: &mut Scene) -> Result<View> {
     let corner = |x: u32, y: u32| match (x / 2, y / 2) {
         _ if x == y => [255, 255, 255, 255],

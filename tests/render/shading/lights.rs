@@ -7,8 +7,8 @@ use ropewalk::{AlphaMode, Geometry, LightKind, Material, Scene};
 
 use super::scenes::{at, black, cube, front, middle, put, put_light, render, square};
 
-/// What a dielectric of ior 1.5, roughness 1 and this base colour reflects straight up (+Z) of light from an angle to it, times
-/// the cosine: appendix B of glTF 2.0.
+/// What a dielectric of ior 1.5, roughness 1 and this base colour reflects straight up (+Z) of light from an angle to
+/// it, times the cosine: appendix B of glTF 2.0.
 fn rough_dielectric(base_color: f64, cosine: f64) -> f64 {
     let half_way = ((1.0 + cosine) * 0.5).sqrt();
     let fresnel = 0.04 + 0.96 * (1.0 - half_way).powi(5);

@@ -48,7 +48,8 @@ fn panes_do_not_bend_light() {
     let pane = Material { base_color: Vec4::new(0.5, 1.0, 0.25, 1.0), ..Material::glass(1.5) };
     put(&mut scene, square(2.0), pane, DAffine3::from_rotation_y(1.0));
     let sky = Sky { up: Vec3::Z, zenith: Vec3::ZERO, horizon: Vec3::ZERO, ground: Vec3::ONE };
-    // From both sides: straight ahead there is 1, tinted once, less one reflection, which sees the sky -cos(2) below its horizon.
+    // From both sides: straight ahead there is 1, tinted once, less one reflection, which sees the sky -cos(2) below
+    // its horizon.
     for (eye, up) in [(DVec3::Z * 4.0, Vec3::Z), (DVec3::Z * -4.0, Vec3::NEG_Z)] {
         let camera = Camera::orthographic(0.1, 0.1);
         let mut view = View::look_at(eye, DVec3::ZERO, DVec3::Y, camera, 1, 1);
@@ -71,7 +72,8 @@ fn glass_cubes_shift_what_is_behind_without_turning_it() {
     view.max_depth = 2;
     let found = f64::from(render(&mut scene, &view).color[0][0]);
     let reflectance = fresnel(0.3f64.cos(), 1.0 / 1.5);
-    // The first reflection sees the sky above, the light reflected inside leaves sideways: depth 2 sees the sky in place of it.
+    // The first reflection sees the sky above, the light reflected inside leaves sideways: depth 2 sees the sky in
+    // place of it.
     let straight = (1.0 - reflectance) * (1.0 - reflectance);
     assert!(found >= straight - 1e-5, "{found}, at least {straight}");
     assert!(found < straight + 2.0 * reflectance, "{found}, {straight} and a little");

@@ -60,7 +60,8 @@ fn vertex_colors_are_mixed_by_weight() {
     let mut geometry = square(1.0);
     geometry.colors = Some(Arc::new([Vec3::X, Vec3::Y, Vec3::Z, Vec3::ONE].map(|c| c.extend(1.0))));
     put(&mut scene, geometry, Material { unlit: true, ..Material::default() }, DAffine3::IDENTITY);
-    // The upper left pixel lies on the diagonal, 3/4 of the way from corner 2 to corner 0; the lower left one in its triangle.
+    // The upper left pixel lies on the diagonal, 3/4 of the way from corner 2 to corner 0; the lower left one in its
+    // triangle.
     let [upper_left, _, lower_left, _] = quarters(&mut scene);
     assert!((upper_left - Vec3::new(0.75, 0.0, 0.25)).abs().max_element() < 1e-5, "{upper_left}");
     assert!((lower_left - Vec3::new(0.25, 0.5, 0.25)).abs().max_element() < 1e-5, "{lower_left}");

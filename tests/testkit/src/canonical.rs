@@ -140,8 +140,8 @@ fn structure<'a>(arrays: &'a DeviceArrays, instance: &InstanceRecord) -> (&'a [N
     (nodes, &arrays.triangles[instance.first_triangle as usize..][..triangle_count])
 }
 
-/// A bottom-level structure in which some ray would not find a triangle, or an instance whose box is not around it or larger
-/// than that of its turned local box.
+/// A bottom-level structure in which some ray would not find a triangle, or an instance whose box is not around it or
+/// larger than that of its turned local box.
 fn fault(arrays: &DeviceArrays) -> Option<String> {
     let leaves = arrays.tlas_nodes.iter().filter(|node| node.primitives.primitive_count() > 0);
     leaves.filter_map(|leaf| Some((leaf, arrays.instances.get(leaf.primitives.first_primitive() as usize)?))).find_map(
@@ -236,8 +236,8 @@ fn rope_leaves<'a>(nodes: &[Node], triangles: &'a [Triangle]) -> Option<Vec<Leaf
     Some(leaves)
 }
 
-/// A triangle that some ray would not come to: one that is in no leaf, or whose corners stick out of its leaf or, if it is in several,
-/// one of which some point is in none of them.
+/// A triangle that some ray would not come to: one that is in no leaf, or whose corners stick out of its leaf or, if it
+/// is in several, one of which some point is in none of them.
 fn lost_triangle(leaves: &[Leaf<'_>], triangles: &[Triangle]) -> Option<u32> {
     let mut places: HashMap<u32, Vec<&[(DVec3, DVec3)]>> = HashMap::new();
     for (around, held) in leaves {

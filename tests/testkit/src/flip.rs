@@ -12,8 +12,8 @@ pub const PIXELS_PER_DEGREE: f32 = 67.0;
 /// HPG 2020; filters separated as in the authors' own program.
 ///
 /// # Errors
-/// Where the images differ in size, are not whole rows of `width` pixels, or have no pixels, or `pixels_per_degree` is not between
-/// 1 and 1000.
+/// Where the images differ in size, are not whole rows of `width` pixels, or have no pixels, or `pixels_per_degree` is
+/// not between 1 and 1000.
 pub fn flip(width: u32, reference: &[[u8; 4]], test: &[[u8; 4]], pixels_per_degree: f32) -> Result<Vec<f32>, String> {
     if reference.len() != test.len() {
         return Err(format!("{} pixels cannot be compared with {}", test.len(), reference.len()));
@@ -215,7 +215,8 @@ mod tests {
         (0..36).flat_map(|y| (0..WIDTH).map(move |x| pixel(x, y))).collect()
     }
 
-    /// Pixels of the same pairs of images compared by the authors' C++ program (as packaged by the crate nv-flip 0.1.2).
+    /// Pixels of the same pairs of images compared by the authors' C++ program (as packaged by the crate nv-flip
+    /// 0.1.2).
     #[track_caller]
     fn assert_like_the_authors(test: &[[u8; 4]], pixels_per_degree: f32, mean: f32, samples: [(usize, f32); 3]) {
         let errors = flip(WIDTH, &pattern(), test, pixels_per_degree).unwrap();

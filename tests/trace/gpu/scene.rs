@@ -1,5 +1,5 @@
-//! A scene that is edited: after every edit the GPU, which is told only what changed, shows what the `cpu` executor shows
-//! of the scene compiled from nothing.
+//! A scene that is edited: after every edit the GPU, which is told only what changed, shows what the `cpu` executor
+//! shows of the scene compiled from nothing.
 
 use glam::{DVec3, Vec3, Vec4};
 use ropewalk::image::Image;

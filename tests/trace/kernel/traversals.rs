@@ -93,8 +93,8 @@ fn meshes_of_all_sizes() {
     }
 }
 
-/// A top level as deep as it has instances, all of whose boxes overlap: far more wait than the stacks hold, the kernel's and the CPU's. Deeper than
-/// any that is built.
+/// A top level as deep as it has instances, all of whose boxes overlap: far more wait than the stacks hold, the
+/// kernel's and the CPU's. Deeper than any that is built.
 #[test]
 fn a_top_level_deeper_than_the_stacks() {
     let mut random = Random::new(3);
