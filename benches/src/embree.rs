@@ -132,7 +132,7 @@ impl Embree {
     /// Builds a scene of one geometry.
     ///
     /// # Errors
-    /// Embree's own.
+    /// Embree's error.
     pub fn scene(&self, triangles: &[[Vec3; 3]], quality: Quality, robust: bool) -> Result<Scene<'_>> {
         let f = &self.functions;
         let count = triangles.len();

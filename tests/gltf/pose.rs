@@ -16,7 +16,7 @@ fn morph_targets_are_added_by_their_default_weights() {
     let primitive = json!({"attributes": {"POSITION": positions, "NORMAL": normals}, "targets": targets});
     let mut fixture = fixture.with_primitive(primitive);
 
-    // Without weights none applies.
+    // Without weights no morph target is applied.
     let imported = fixture.import();
     assert_eq!(imported.geometry().positions[0], Vec3::ZERO);
     assert!(imported.notes()[0].contains("morph targets: not yet played"));
@@ -113,7 +113,7 @@ fn a_skin_without_enough_matrices_or_joints_is_an_error() {
     let mut fixture = skinned();
     fixture.json["skins"][0]["joints"] = json!([1]);
     assert!(fixture.error().contains("refers to joint 1, but the skin has 1"));
-    // Also where nothing shows the mesh.
+    // Also if no node shows the mesh.
     fixture.json["scenes"] = json!([{"nodes": []}]);
     assert!(fixture.error().contains("refers to joint 1, but the skin has 1"));
 }

@@ -18,7 +18,7 @@ struct Corner {
     color: Option<Vec4>,
 }
 
-/// The file by the crate: its document, and the data of its buffers.
+/// The file as the crate `gltf` reads it: its document, and the data of its buffers.
 struct Reference {
     document: gltf::Document,
     buffers: Vec<Vec<u8>>,
@@ -154,7 +154,7 @@ fn compare(path: &Path) -> usize {
     let worlds = reference.worlds();
     let mut compared = 0;
     for node in reference.document.nodes() {
-        // What another scene shows is not imported; instances have a test of their own.
+        // Nodes of other scenes are not imported; instances have a test of their own.
         let (Some(mesh), Some(key)) = (node.mesh(), report.nodes[node.index()]) else { continue };
         let drawn: Vec<NodeKey> = scene
             .children(key)

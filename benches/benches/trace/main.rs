@@ -1,4 +1,4 @@
-//! How fast each executor traces each kind of ray, and what a ray costs it.
+//! The rate of each executor for each kind of ray, and the cost of a ray in nodes, boxes, triangles and bytes.
 //!
 //! The first row of each block is the paper's own method: ropes in one fixed order, one triangle a leaf, one ray after
 //! the other. Counts are the kernel's own; the executor `cpu` walks by packets, which have no count a ray. With the
@@ -22,7 +22,7 @@ use ropewalk_bench::runner::{Runner, Traced};
 use ropewalk_bench::scenes::{BenchScene, ImageSize, SCENES};
 use ropewalk_bench::{Contender, Options, Report, Result, finish, medians, thread_pool};
 
-/// What the kernel walks, and whether it is the paper's own arrays that it walks.
+/// The traversals of the kernel, and whether the arrays are the paper's or the shipped ones.
 const LAYOUTS: [(&str, Traversal, bool); 3] = [
     ("paper: rope of 1 triangle a leaf", Traversal::Rope, true),
     ("rope", Traversal::Rope, false),

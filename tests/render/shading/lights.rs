@@ -1,4 +1,4 @@
-//! Direct light against glTF's formulas in f64, and shadows.
+//! Direct light compared with glTF's formulas in f64, and shadows.
 
 use std::sync::Arc;
 
@@ -58,7 +58,7 @@ fn a_tilted_shading_normal_lets_no_light_round_the_surface() {
     }
 }
 
-/// What is left of the light on a floor below a screen of this material.
+/// The share of the light that reaches a floor below a screen of this material.
 fn left_below(screen: Material) -> Vec3 {
     left_below_shape(&square(0.5), screen)
 }
@@ -67,7 +67,7 @@ fn left_below_shape(shape: &Geometry, screen: Material) -> Vec3 {
     let lit = |screen: Option<Material>| {
         let mut scene = Scene::new();
         put(&mut scene, square(1.0), Material::default(), DAffine3::IDENTITY);
-        // Off the line of sight, on the way of the light.
+        // Between the light and the floor, but outside of the view.
         if let Some(material) = screen {
             put(&mut scene, shape.clone(), material, at(2.0, 0.0, 2.0));
         }

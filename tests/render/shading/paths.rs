@@ -1,4 +1,4 @@
-//! Reflection and refraction against closed forms and an analytic ray tracer in f64.
+//! Reflection and refraction compared with closed forms and with an analytic ray tracer in f64.
 
 use glam::{DAffine3, DVec3, Vec3, Vec4};
 use ropewalk::{AlphaMode, Camera, Material, Scene, Sky, View};
@@ -90,7 +90,7 @@ fn fresnel(cosine: f64, eta: f64) -> f64 {
     (s * s + p * p) * 0.5
 }
 
-/// A unit sphere of glass under a sky, by recursion.
+/// The radiance along a ray that may hit a unit sphere of glass under a sky, computed recursively.
 struct GlassBall {
     ior: f64,
     tint: DVec3,

@@ -48,8 +48,8 @@ impl Mesh {
         Self { positions, indices }
     }
 
-    /// An icosphere whose vertices are moved along their radius by a rough noise; still closed, and star-shaped about
-    /// 0.
+    /// An icosphere whose vertices are moved along their radius by noise. It is closed, and star-shaped about the
+    /// origin.
     pub fn displaced_icosphere(subdivisions: u32) -> Self {
         let mut mesh = Self::icosphere(subdivisions);
         let mut random = Random::new(7);
