@@ -9,9 +9,8 @@ use std::time::Duration;
 
 use clap::Parser;
 use rayon::ThreadPool;
-use rayon::prelude::*;
 use ropewalk::device::DeviceArrays;
-use ropewalk::device::layout::{NONE, RayRecord};
+use ropewalk::device::layout::RayRecord;
 use ropewalk::trace::{Cpu, Emulated, Traversal, TraversalCounts};
 #[cfg(feature = "gpu")]
 use ropewalk_bench::gpu::Gpu;
