@@ -15,7 +15,7 @@ use ropewalk_testkit::{Mesh, Random};
 /// Balls and triangle soups of all kinds of material, with and without alpha masks, around a point.
 fn scene(center: DVec3) -> Scene {
     let mut scene = Scene::new();
-    let mut random = Random::new(3);
+    let mut random = Random::new(2);
     let solid = Material { double_sided: false, ..Material::default() };
     let glass = Vec4::new(1.0, 1.0, 1.0, 0.4);
     let materials = [

@@ -124,7 +124,7 @@ mod tests {
     /// The widest lanes are those that every other test runs with: here are all that this processor has.
     #[test]
     fn all_lanes_meet_what_the_kernel_meets() {
-        let mut random = fastrand::Rng::with_seed(1);
+        let mut random = fastrand::Rng::with_seed(4);
         let mut vector = |scale: f32| (Vec3::new(random.f32(), random.f32(), random.f32()) * 2.0 - 1.0) * scale;
         let corners: Vec<Vec3> = (0..600)
             .flat_map(|_| {
