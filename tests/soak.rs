@@ -1,4 +1,4 @@
-//! A million random edits: nothing leaks, nothing decays.
+//! A million random edits: memory stays bounded, and all that follows the scene agrees with it.
 
 #![expect(clippy::unwrap_used, reason = "a panic in a test is a failure")]
 
@@ -20,7 +20,8 @@ const EDITS: usize = 1_000_000;
 const MOST_NODES: usize = 400;
 const EYE: DVec3 = DVec3::new(0.0, 0.0, 10.0);
 
-/// A scene with undo, a compiler and a mirror that read its log at their own pace, and a cursor that lags far behind.
+/// A scene with undo; a compiler and a mirror that read its change log at different intervals; and a cursor that lags
+/// far behind.
 #[test]
 fn a_million_edits_leave_nothing_behind() {
     let mut runner = TestRunner::default();
@@ -32,7 +33,8 @@ fn a_million_edits_leave_nothing_behind() {
     world.scene.set_undo_limit(20);
     let (mut compiler, mut mirror) = (Compiler::new(), Scene::new());
     let (mut of_mirror, mut lagging) = (ChangeCursor::default(), ChangeCursor::default());
-    // The most bytes in each tenth of the way, from the first on that has seen a full scene.
+    // The greatest number of allocated bytes in each tenth of the edits, from the first tenth in which the scene has
+    // reached its full size.
     let (mut peaks, mut compared) = (Vec::new(), 0);
 
     for i in 1..=EDITS {
@@ -70,7 +72,7 @@ fn a_million_edits_leave_nothing_behind() {
     println!("{first} bytes after a tenth of the edits, {last} after all");
     assert!(last < 2 * first, "memory grows: {peaks:?}");
 
-    // Without nodes there is nothing left.
+    // Without nodes no other object is left, and nothing on the device.
     world.scene.disable_undo();
     for child in world.scene.children(world.scene.root()).unwrap().collect::<Vec<_>>() {
         world.scene.remove(child).unwrap();
@@ -85,7 +87,8 @@ fn a_million_edits_leave_nothing_behind() {
     assert_eq!(compiler.arrays().byte_count(), 0);
 }
 
-/// All readers show the scene as it is, with no more memory on the device than that takes. The number of instances.
+/// Checks that mirror and compiler agree with the scene, and that the device arrays are not much larger than those of a
+/// new compiler. Returns the number of instances.
 fn check(world: &mut World, compiler: &mut Compiler, mirror: &mut Scene, of_mirror: &mut ChangeCursor) -> usize {
     world.scene.validate().unwrap();
     compiler.compile(&mut world.scene, EYE).unwrap();

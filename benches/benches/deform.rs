@@ -1,8 +1,8 @@
-//! Meshes that deform frame after frame: refit against rebuild, and what rays cost when refits go on.
+//! Meshes that deform in every frame: the time of refits and of rebuilds, and the cost of rays after many refits.
 //!
-//! First the time to follow a mesh whose vertices have all moved, in turns with the crate `obvhs`. Then frames of a motion, in
-//! which a structure is refitted until its cost has grown by some factor and then built anew: how often that happens, and how
-//! many nodes and triangles rays meet, in units of a structure that is built for each frame.
+//! First the time to follow a mesh whose vertices have all moved, in turns with the crate `obvhs`. Then frames of a
+//! motion, in which a structure is refitted until its cost has grown by some factor and then built anew: how often that
+//! happens, and how many nodes and triangles rays meet, in units of a structure that is built for each frame.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -18,7 +18,7 @@ use ropewalk::device::layout::NONE;
 use ropewalk::{BlasKind, Core, Geometry, Material, Quality, Scene, gltf};
 use ropewalk_bench::{Contender, Options, Report, Target, medians, milliseconds, time};
 
-/// When to build anew: at so many times the cost at the last build.
+/// The factors by which the cost may grow since the last build before a rebuild.
 const LIMITS: [f64; 6] = [1.0, 1.1, 1.25, 1.5, 2.0, f64::INFINITY];
 const FRAMES: u32 = 60;
 const RAYS: usize = 4000;
@@ -64,7 +64,7 @@ fn wave(geometry: &Geometry, time: f32) -> Vec<Vec3> {
     geometry.positions.iter().map(roll).collect()
 }
 
-/// Turned about the vertical axis, the more the farther up, there and back again.
+/// Twisted about the vertical axis, back and forth.
 fn twist(geometry: &Geometry, time: f32) -> Vec<Vec3> {
     let (low, high) = geometry.positions.iter().fold((f32::MAX, f32::MIN), |(l, h), p| (l.min(p.y), h.max(p.y)));
     let turn = |p: &Vec3| Quat::from_rotation_y((time * 1.5).sin() * 3.0 * (p.y - low) / (high - low)) * *p;
@@ -130,7 +130,7 @@ fn times(mesh: &Mesh, samples: usize, report: &mut Report) {
     report.goal(format!("refit_{}_against_obvhs", mesh.0), ratio(4), Target::AtLeast(1.0), "x");
 }
 
-/// A scene with one geometry, and all that follows it.
+/// A scene with one geometry, and its compiler.
 struct Shown {
     scene: Scene,
     compiler: Compiler,
@@ -147,7 +147,7 @@ impl Shown {
         Self { scene, compiler, key }
     }
 
-    /// The whole way from new positions to device arrays.
+    /// The time from new positions to changed device arrays.
     fn pose(&mut self, geometry: &Geometry) -> Duration {
         time(|| {
             self.scene.set_positions(self.key, geometry.positions.clone(), None).expect("as many as before");
@@ -187,7 +187,7 @@ impl Peer {
     }
 }
 
-/// Two seconds and more of a motion, under each limit.
+/// Frames of two seconds or more of a motion, with each limit.
 fn decay(mesh: &Mesh, report: &mut Report) {
     let frames: Vec<Geometry> = (0..FRAMES).map(|frame| at(mesh, frame as f32 / 30.0)).collect();
     let fresh: Vec<f64> = frames.iter().map(|geometry| ray_cost(&build(geometry, Quality::Medium))).collect();
@@ -217,7 +217,8 @@ fn decay(mesh: &Mesh, report: &mut Report) {
     }
 }
 
-/// Nodes fetched and, at their cost, triangles tested, by rays from all around to random triangles, up to the first hit.
+/// Nodes fetched and, at their cost, triangles tested, by rays from all around to random triangles, up to the first
+/// hit.
 fn ray_cost(blas: &Blas) -> f64 {
     let mut random = fastrand::Rng::with_seed(1);
     let mut signed = || random.f32() * 2.0 - 1.0;
@@ -225,7 +226,7 @@ fn ray_cost(blas: &Blas) -> f64 {
     let step = blas.triangles.len() / RAYS;
     let triangle_cost = f64::from(BlasBuildParams::default().triangle_cost);
     let mut cost = 0.0;
-    // Which triangles these are must not depend on the structure.
+    // The rays' targets must not depend on the structure.
     let mut by_primitive: Vec<usize> = (0..blas.triangles.len()).collect();
     by_primitive.sort_unstable_by_key(|&i| blas.triangles[i].primitive);
     for ray in 0..RAYS {

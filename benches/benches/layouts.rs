@@ -1,19 +1,30 @@
-//! What a ray does in each layout of the hierarchies: counts, which no load on the machine changes.
+//! What a ray reads and tests in each node layout. These are counts, so other load on the machine does not change them.
 //!
-//! Replicas walk the shipped builders' hierarchies (see `ropewalk_bench::layouts`). The top level is in the paper's layout, and
-//! where there is more than one instance also in the bottom level's. Hits are checked against the executor `emulated`.
+//! What the shipped traversals read is counted by the executor `emulated`. Hypothetical layouts
+//! (`ropewalk_bench::layouts`) hold the hierarchies of the shipped builders, in both levels; their hits are checked
+//! against those of `emulated` (`other hits`).
 
 use std::process::ExitCode;
 
 use clap::Parser;
-use ropewalk_bench::layouts::{Layout, LayoutScene, paper_arrays};
+use ropewalk::trace::Traversal;
+use ropewalk_bench::kernel_counts::KernelCounts;
+use ropewalk_bench::layouts::{Layout, LayoutScene, Totals, paper_arrays};
 use ropewalk_bench::rays::{Differences, RayKind, RaySets, true_answers};
 use ropewalk_bench::scenes::{BenchScene, ImageSize, SCENES};
 use ropewalk_bench::{Options, Report, Result, finish};
 
+/// What the kernel traverses: the arrays as the paper builds them or as shipped.
+const SHIPPED: [(&str, Traversal, bool); 3] = [
+    ("paper: rope, 1 triangle a leaf", Traversal::Rope, true),
+    ("rope", Traversal::Rope, false),
+    ("wide", Traversal::Wide, false),
+];
+
 const QUICK_NAMES: [&str; 3] = ["sphere", "bunny", "sponza"];
-/// With `--quick`, one ray of so many, in runs of a whole lockstep group.
+/// With `--quick`, one of this many groups of rays is traced.
 const QUICK_SHARE: usize = 8;
+/// Rays that step together.
 const GROUP: usize = 32;
 
 #[derive(Debug, Parser)]
@@ -40,7 +51,6 @@ fn count_all(arguments: &Arguments) -> Result<Report> {
         "scene",
         "rays",
         "layout",
-        "top level",
         "nodes a ray",
         "boxes a ray",
         "triangles a ray",
@@ -63,37 +73,46 @@ fn count_all(arguments: &Arguments) -> Result<Report> {
 fn count(scene: &BenchScene, kinds: &[RayKind], quick: bool, report: &mut Report) -> Result<()> {
     let sets = RaySets::new(scene)?;
     let paper = paper_arrays(scene.arrays())?;
-    let mut rows =
-        vec![("paper: rope, 1 triangle a leaf", "rope", LayoutScene::new(&paper, Layout::Rope, Layout::Rope))];
-    for layout in Layout::ALL {
-        rows.push((layout.name(), "rope", LayoutScene::new(scene.arrays(), Layout::Rope, layout)));
-        if scene.arrays().tlas_nodes.len() > 1 && layout != Layout::Rope {
-            rows.push((layout.name(), "same", LayoutScene::new(scene.arrays(), layout, layout)));
-        }
-    }
+    let hypothetical = Layout::ALL.map(|layout| (layout, LayoutScene::new(scene.arrays(), layout)));
     for &kind in kinds {
         let groups = sets.of(kind).chunks(GROUP).step_by(if quick { QUICK_SHARE } else { 1 });
         let rays: Vec<_> = groups.flatten().copied().collect();
-        let truth = true_answers(scene, &rays, kind)?;
-        let a_ray = |count: u64| count as f64 / rays.len() as f64;
-        for (layout, top, laid_out) in &rows {
-            let (answers, totals) = laid_out.trace(&rays, kind.is_any_hit());
-            let differences = Differences::between(&truth, &answers);
-            let counts = totals.counts;
+        let mut row = |layout: &str, a_ray: [u64; 4], lockstep: f64, rest: [String; 3]| {
+            let [nodes, boxes, triangles, bytes] = a_ray.map(|count| count as f64 / rays.len() as f64);
+            let [stack, node_bytes, other_hits] = rest;
             report.row([
                 scene.name.to_owned(),
                 kind.name().to_owned(),
-                (*layout).to_owned(),
-                (*top).to_owned(),
-                format!("{:.2}", a_ray(counts.nodes)),
-                format!("{:.2}", a_ray(counts.boxes)),
-                format!("{:.2}", a_ray(counts.triangles)),
-                format!("{:.0}", a_ray(counts.bytes)),
-                format!("{:.1}", totals.lockstep_efficiency * 100.0),
-                counts.stack.to_string(),
-                format!("{:.1}", laid_out.node_bytes_a_triangle()),
-                (differences.distances + differences.verdicts).to_string(),
+                layout.to_owned(),
+                format!("{nodes:.2}"),
+                format!("{boxes:.2}"),
+                format!("{triangles:.2}"),
+                format!("{bytes:.0}"),
+                format!("{:.1}", lockstep * 100.0),
+                stack,
+                node_bytes,
+                other_hits,
             ]);
+        };
+        for (name, traversal, is_paper) in SHIPPED {
+            let arrays = if is_paper { &paper } else { scene.arrays() };
+            let KernelCounts { counts, lockstep_efficiency } = KernelCounts::of(arrays, &rays, kind, traversal);
+            let node_bytes = match traversal {
+                Traversal::Rope => size_of_val(&*arrays.blas_nodes),
+                Traversal::Wide => size_of_val(&*arrays.wide_nodes),
+            } as f64
+                / arrays.triangles.len() as f64;
+            let a_ray = [counts.nodes, counts.boxes, counts.triangles, counts.bytes];
+            row(name, a_ray, lockstep_efficiency, ["-".to_owned(), format!("{node_bytes:.1}"), "-".to_owned()]);
+        }
+        let truth = true_answers(scene, &rays, kind)?;
+        for (layout, laid_out) in &hypothetical {
+            let (answers, Totals { counts, lockstep_efficiency }) = laid_out.trace(&rays, kind.is_any_hit());
+            let Differences { distances, verdicts } = Differences::between(&truth, &answers);
+            let a_ray = [counts.nodes, counts.boxes, counts.triangles, counts.bytes];
+            let node_bytes = format!("{:.1}", laid_out.node_bytes_a_triangle());
+            let rest = [counts.stack.to_string(), node_bytes, (distances + verdicts).to_string()];
+            row(layout.name(), a_ray, lockstep_efficiency, rest);
         }
     }
     Ok(())

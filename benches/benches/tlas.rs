@@ -1,7 +1,7 @@
 //! Top level: build, refit and patch, against the crate `obvhs`.
 //!
-//! Random boxes; all that is compared is built over the same ones, on all threads, and its cost computed by one function. A
-//! build starts from boxes and ends with all that later updates need.
+//! All contenders build over the same random boxes, on all threads, and one function computes the cost of their
+//! hierarchies. A build starts from boxes and ends with everything that later updates need.
 
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
@@ -20,7 +20,7 @@ use ropewalk_bench::{Contender, Options, Report, Target, medians, milliseconds, 
 
 /// Builds no slower than the fastest of the peer's presets, at no greater cost; refits no slower.
 const LARGE: usize = 100_000;
-/// One instance of a million moves: so many microseconds, so many bytes of nodes.
+/// Goals for the move of one instance of a million: microseconds, and bytes of changed nodes.
 const PATCH_MICROSECONDS: f64 = 50.0;
 const PATCH_BYTES: f64 = 800.0;
 
@@ -138,12 +138,12 @@ fn refit(boxes: &[Aabb], samples: usize, report: &mut Report) {
     for (name, &time) in names.into_iter().zip(&times) {
         add(report, boxes, "refit", name, time, times[0], None);
     }
-    // Ours finds the leaves and their boxes by itself; so must whoever uses the peer's.
+    // Our refit finds the leaves and their boxes itself, so the same work is included in the peer's time.
     let ratio = times[1].as_secs_f64() / times[0].as_secs_f64();
     report.goal(format!("refit_{}_against_obvhs", boxes.len()), ratio, Target::AtLeast(1.0), "x");
 }
 
-/// One instance after the other moves by its size.
+/// Instances move one after the other, each by its size.
 fn patch(mut boxes: Vec<Aabb>, report: &mut Report) {
     const MOVES: usize = 2001;
     let (mut tlas, mut nodes) = ours(&boxes);

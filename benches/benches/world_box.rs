@@ -1,5 +1,5 @@
-//! The box of a placed geometry: how long it takes to find, and how much smaller it is than that around the corners of the
-//! geometry's own box.
+//! The world box of an instance: how long it takes to compute, and how much smaller it is than the box around the
+//! corners of the transformed local box.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -10,7 +10,7 @@ use ropewalk::accel::{Blas, BlasBuildParams, SupportFunction};
 use ropewalk::{Bounds, Geometry, Scene, gltf};
 use ropewalk_bench::{Contender, Options, Report, Target, medians, time};
 
-/// A call takes no longer than this.
+/// The goal for the time of a call.
 const MICROSECONDS: f64 = 1.0;
 const MESHES: [&str; 2] = ["stanford-bunny", "stanford-dragon"];
 
@@ -54,7 +54,7 @@ fn measure(name: &str, geometry: &Geometry, samples: usize, report: &mut Report)
     ];
     let times = medians(samples, &mut contenders);
     drop(contenders);
-    // The truth, for some of them.
+    // The exact box, for some of them.
     let exact = |placement: &DAffine3| {
         geometry.positions.iter().fold(Bounds::EMPTY, |bounds, p| {
             let p = placement.transform_point3(p.as_dvec3());

@@ -1,4 +1,4 @@
-//! A triangle as the crate `bvh` takes it.
+//! A triangle in the form that the crate `bvh` requires.
 
 use glam::Vec3;
 use nalgebra::Point3;
@@ -11,7 +11,7 @@ pub struct Shape {
 }
 
 impl Shape {
-    /// One that is in no tree yet.
+    /// A triangle that is not in a tree yet.
     pub fn new(corners: [Vec3; 3]) -> Self {
         Self { corners, node: 0 }
     }

@@ -100,8 +100,8 @@ pub struct Embree {
 }
 
 impl Embree {
-    /// Loads the library from the folder `ROPEWALK_EMBREE`, or from `target/embree`. Scenes are built on so many threads;
-    /// 0 for all. Rays are traced on the thread that calls.
+    /// Loads the library from the folder `ROPEWALK_EMBREE`, or from `target/embree`. Scenes are built on so many
+    /// threads; 0 for all. Rays are traced on the thread that calls.
     ///
     /// # Errors
     /// There is none, and how to fetch it.
@@ -132,7 +132,7 @@ impl Embree {
     /// Builds a scene of one geometry.
     ///
     /// # Errors
-    /// Embree's own.
+    /// Embree's error.
     pub fn scene(&self, triangles: &[[Vec3; 3]], quality: Quality, robust: bool) -> Result<Scene<'_>> {
         let f = &self.functions;
         let count = triangles.len();
@@ -215,8 +215,8 @@ pub trait Batch {
     /// Traces them.
     fn trace(&mut self, scene: &Scene<'_>, is_coherent: bool);
 
-    /// What the last trace found, as [`closest_answer`](crate::rays::closest_answer) and [`any_answer`](crate::rays::any_answer)
-    /// have it.
+    /// What the last trace found, as [`closest_answer`](crate::rays::closest_answer) and
+    /// [`any_answer`](crate::rays::any_answer) have it.
     fn answers(&self) -> Vec<f32>;
 }
 

@@ -1,4 +1,4 @@
-//! The executor `gpu`, by its own clock and by the wall's.
+//! The executor `gpu`, timed by its own clock and by the wall clock.
 
 use std::cell::RefCell;
 use std::time::Duration;
@@ -108,7 +108,7 @@ impl Gpu {
         Some(resident)
     }
 
-    /// As an application calls it: rays go to the GPU, hits come back; the time is the wall's.
+    /// As an application calls it: rays are copied to the GPU and hits are read back. Timed by the wall clock.
     pub fn transferred<'a>(
         &'a self,
         arrays: &'a DeviceArrays,

@@ -1,4 +1,4 @@
-//! What the benchmarks share: options, alternating measurement, tables, goals.
+//! What the benchmarks share: options, measurement in turns, tables, goals.
 //!
 //! A figure is a median of several samples, and what counts is the ratio of two figures of one run: everything that is
 //! compared runs in turns, so that whatever else the machine does hits all of them alike.
@@ -7,6 +7,7 @@ pub mod bvh_shape;
 pub mod embree;
 #[cfg(feature = "gpu")]
 pub mod gpu;
+pub mod kernel_counts;
 pub mod layouts;
 pub mod rays;
 pub mod runner;
@@ -41,7 +42,8 @@ pub struct Options {
     /// Exit with an error if a goal is missed.
     #[arg(long)]
     pub strict: bool,
-    /// Let a software renderer pass for a GPU where there is none, under its own name: to try a benchmark out, not to quote.
+    /// Where there is no GPU, measure a software renderer instead, labelled as such: to try a benchmark, not for
+    /// figures to quote.
     #[cfg(feature = "gpu")]
     #[arg(long)]
     pub software: bool,
@@ -66,7 +68,7 @@ pub fn thread_pool(threads: usize) -> Result<ThreadPool> {
     Ok(ThreadPoolBuilder::new().num_threads(threads).build()?)
 }
 
-/// A thing to measure: prepares what it needs, and returns how long the rest took.
+/// A function to measure: it prepares its input, and returns how long the rest took.
 pub type Contender<'a> = Box<dyn FnMut() -> Duration + 'a>;
 
 /// Runs the contenders in turns, `samples` times each after one that does not count, and returns their medians.
@@ -98,7 +100,7 @@ pub fn time<T>(function: impl FnOnce() -> T) -> Duration {
     elapsed
 }
 
-/// A duration in milliseconds, with three digits that mean something.
+/// A duration in milliseconds, with three significant digits.
 pub fn milliseconds(time: Duration) -> String {
     let value = time.as_secs_f64() * 1e3;
     let decimals = (2.0 - value.max(1e-9).log10().floor()).clamp(0.0, 6.0) as usize;
@@ -114,7 +116,7 @@ pub enum Target {
     AtMost(f64),
 }
 
-/// What a benchmark has found: a table, and goals reached or missed.
+/// The result of a benchmark: a table, and goals that were reached or missed.
 pub struct Report {
     header: Vec<&'static str>,
     rows: Vec<Vec<String>>,
@@ -167,7 +169,7 @@ impl Report {
         self.notes.push(finding.into());
     }
 
-    /// Prints everything, writes the file asked for, and says how the program is to end.
+    /// Prints everything, writes the files asked for, and returns the exit code of the program.
     pub fn finish(&self, options: &Options) -> ExitCode {
         println!("{}\n", machine());
         let mut table = Table::new();

@@ -12,12 +12,12 @@ use ropewalk::{Camera, View};
 use crate::Result;
 use crate::scenes::BenchScene;
 
-/// What rays are for.
+/// The kinds of rays.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum RayKind {
     /// From the eye through each pixel, in blocks of 4 by 4 pixels.
     Primary,
-    /// From what the primary rays hit to one light: is there anything between?
+    /// From the hits of the primary rays to one light; any-hit queries.
     Shadow,
     /// The primary rays that hit something, reflected once.
     Mirror,
@@ -29,7 +29,7 @@ impl RayKind {
     /// All of them.
     pub const ALL: [Self; 4] = [Self::Primary, Self::Shadow, Self::Mirror, Self::Diffuse];
 
-    /// What `--rays` calls it.
+    /// The value of `--rays`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Primary => "primary",
@@ -39,25 +39,25 @@ impl RayKind {
         }
     }
 
-    /// Whether any hit will do, whichever it is.
+    /// Whether these are any-hit queries.
     pub fn is_any_hit(self) -> bool {
         self == Self::Shadow
     }
 
-    /// Whether neighbours among the rays go much the same way.
+    /// Whether neighbouring rays have similar origins and directions.
     pub fn is_coherent(self) -> bool {
         matches!(self, Self::Primary | Self::Shadow)
     }
 }
 
-/// Every ray of a scene, in the space of its device arrays. Directions have length 1.
+/// All rays of a scene, in the world space of its device arrays. Directions have length 1.
 #[derive(Clone, Debug)]
 pub struct RaySets([Vec<RayRecord>; 4]);
 
 /// Rays that one task traces.
 const CHUNK: usize = 1 << 12;
-/// How far from a surface a ray starts, in units of the largest coordinate of the surface or the eye: more than any tracer's
-/// error.
+/// How far from a surface a ray starts, in units of the largest coordinate of the surface or the eye: more than any
+/// tracer's error.
 const OFFSET: f32 = 1.0 / (1 << 16) as f32;
 /// How much of the way to the light a shadow ray goes.
 const TO_LIGHT: f32 = 1.0 - 1.0 / (1 << 12) as f32;
@@ -110,17 +110,17 @@ pub fn true_answers(scene: &BenchScene, rays: &[RayRecord], kind: RayKind) -> Re
     Ok(closest_hits(scene, rays)?.iter().map(closest_answer).collect())
 }
 
-/// How far a ray went: infinity for a miss.
+/// The distance of a hit; infinity for a miss.
 pub fn closest_answer(hit: &HitRecord) -> f32 {
     if hit.instance == NONE { f32::INFINITY } else { hit.t }
 }
 
-/// The same where nobody says how far: 0 for a hit.
+/// The same for any-hit queries, which have no distance: 0 for a hit.
 pub fn any_answer(is_hit: bool) -> f32 {
     if is_hit { 0.0 } else { f32::INFINITY }
 }
 
-/// How many answers of two differ.
+/// The number of rays whose answers differ between two tracers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Differences {
     /// One ray hit, the other did not.
@@ -130,7 +130,7 @@ pub struct Differences {
 }
 
 impl Differences {
-    /// Compares the answers to the same rays. One too few or too many counts as another verdict.
+    /// Compares two lists of answers to the same rays. Each answer that one list lacks counts as another verdict.
     pub fn between(ours: &[f32], theirs: &[f32]) -> Self {
         const SAME: f32 = 1e-4;
         let mut differences = Self { verdicts: ours.len().abs_diff(theirs.len()), distances: 0 };
@@ -142,7 +142,8 @@ impl Differences {
     }
 }
 
-/// Where a ray meets a triangle, either side, before `t_max`: Möller and Trumbore's test, for those who bring none of their own.
+/// The distance at which a ray hits a triangle, from either side, before `t_max`: the test of Möller and Trumbore, for
+/// peers without a triangle test.
 #[inline]
 pub fn meet(ray: &RayRecord, [v0, v1, v2]: &[Vec3; 3], t_max: f32) -> Option<f32> {
     let [origin, direction] = [ray.origin, ray.direction].map(Vec3::from_array);
@@ -177,7 +178,7 @@ fn ray(origin: Vec3, direction: Vec3) -> RayRecord {
     RayRecord { origin: origin.to_array(), t_min: 0.0, direction: direction.normalize().to_array(), t_max: f32::MAX }
 }
 
-/// Where a ray hit.
+/// The surface at a hit.
 struct Surface {
     /// A little off the surface, on the ray's side.
     origin: Vec3,
@@ -212,7 +213,7 @@ impl Surface {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::layouts::{Layout, LayoutScene, paper_arrays};
+    use crate::layouts::{Layout, LayoutScene};
     use crate::scenes::{ImageSize, SCENES};
 
     #[test]
@@ -228,12 +229,11 @@ mod tests {
     #[test]
     fn layouts_find_what_the_kernel_finds() {
         let scene = SCENES.iter().find(|recipe| recipe.name == "sphere").unwrap().load(ImageSize::Paper).unwrap();
-        let paper = paper_arrays(scene.arrays()).unwrap();
         let sets = RaySets::new(&scene).unwrap();
         for kind in RayKind::ALL {
             let rays: Vec<RayRecord> = sets.of(kind).iter().step_by(7).copied().collect();
             let truth = true_answers(&scene, &rays, kind).unwrap();
-            // Nothing outside of a sphere hides it from anything else outside.
+            // Rays that leave a sphere's surface do not hit it again.
             let hit_share = truth.iter().filter(|t| t.is_finite()).count() as f64 / rays.len() as f64;
             let expected = match kind {
                 RayKind::Primary => 0.42..0.44,
@@ -241,9 +241,7 @@ mod tests {
                 RayKind::Mirror | RayKind::Diffuse => 0.0..1e-9,
             };
             assert!(expected.contains(&hit_share), "{kind:?}: {hit_share}");
-            let mut scenes = vec![LayoutScene::new(&paper, Layout::Rope, Layout::Rope)];
-            scenes.extend(Layout::ALL.map(|layout| LayoutScene::new(scene.arrays(), layout, layout)));
-            for laid_out in scenes {
+            for laid_out in Layout::ALL.map(|layout| LayoutScene::new(scene.arrays(), layout)) {
                 let (answers, totals) = laid_out.trace(&rays, kind.is_any_hit());
                 let Differences { verdicts, distances } = Differences::between(&truth, &answers);
                 // Möller and Trumbore's test loses a ray at an edge now and then.

@@ -1,4 +1,4 @@
-//! Whoever traces the same rays over and over.
+//! Executors and peers that trace the same rays repeatedly.
 
 use std::time::Duration;
 
@@ -46,7 +46,7 @@ impl<'a> Traced<'a> {
 impl Runner for Traced<'_> {
     fn run(&mut self) -> Duration {
         let Self { tracer, pool, arrays, rays, kind, closest, any } = self;
-        // What the last run returned goes before the clock starts.
+        // The result of the last run is dropped before the clock starts.
         (*closest, *any) = (Vec::new(), Vec::new());
         if kind.is_any_hit() {
             pool.install(|| time(|| *any = tracer.any_hits(arrays, rays, NONE).unwrap_or_default()))

@@ -14,10 +14,10 @@ use ropewalk::{Camera, Material, Scene, View, gltf};
 use crate::Result;
 use crate::shapes::{add_copies, geometry_core, sphere};
 
-/// A scene by its recipe.
+/// The recipe of a scene.
 #[derive(Clone, Copy, Debug)]
 pub struct Recipe {
-    /// What `--scene` calls it.
+    /// The value of `--scene`.
     pub name: &'static str,
     source: Source,
     eye: [f64; 3],
@@ -95,11 +95,11 @@ const fn bunnies(name: &'static str, overlap: f64) -> Recipe {
 /// How many pixels primary rays go through. Both numbers are multiples of the side of a block of rays.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum ImageSize {
-    /// The paper's.
+    /// The size of the paper's images.
     #[default]
     #[value(name = "800x600")]
     Paper,
-    /// What most screens have.
+    /// The size of most screens.
     #[value(name = "1920x1080")]
     FullHd,
 }
@@ -113,7 +113,7 @@ impl ImageSize {
         }
     }
 
-    /// As `--size` takes it.
+    /// Parses the value of `--size`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Paper => "800x600",
@@ -122,19 +122,19 @@ impl ImageSize {
     }
 }
 
-/// A scene compiled for tracing. All that has a place is in the space of its device arrays.
+/// A scene compiled for tracing. Positions are in the world space of its device arrays.
 #[derive(Debug)]
 pub struct BenchScene {
-    /// What `--scene` calls it.
+    /// The value of `--scene`.
     pub name: &'static str,
     /// Holds the device arrays.
     pub compiler: Compiler,
-    /// What frames of it need.
+    /// The parts of the kernel that its frames need.
     pub needs: Needs,
     triangle_count: u64,
-    /// What is seen of it.
+    /// The view of it.
     pub view: View,
-    /// Where its light is.
+    /// The position of its light.
     pub light: Vec3,
 }
 
@@ -156,7 +156,7 @@ impl BenchScene {
         self.compiler.arrays()
     }
 
-    /// Triangles, those of a geometry as often as it is shown.
+    /// The number of triangles, each counted once for each of its instances.
     pub fn triangle_count(&self) -> u64 {
         self.triangle_count
     }
@@ -167,7 +167,7 @@ impl BenchScene {
         placed(&arrays.instances[hit.instance as usize], &arrays.triangles[hit.triangle as usize])
     }
 
-    /// The triangles of every instance, in the space of the device arrays: what peers get that know one level.
+    /// The triangles of all instances in world space, for peers without instances.
     pub fn triangles(&self) -> Vec<[Vec3; 3]> {
         let arrays = self.arrays();
         let mut triangles = Vec::new();
@@ -205,7 +205,7 @@ pub(crate) fn leaves(nodes: &[Node]) -> impl Iterator<Item = (usize, usize)> {
                 next = node.escape_index;
                 return Some((node.primitives.first_primitive() as usize, node.primitives.primitive_count() as usize));
             }
-            // An unused one has no children.
+            // An unused leaf has no children.
             next = if node.is_empty() { node.escape_index } else { next + 1 };
         }
         None
@@ -213,7 +213,8 @@ pub(crate) fn leaves(nodes: &[Node]) -> impl Iterator<Item = (usize, usize)> {
 }
 
 impl Recipe {
-    /// Loads or makes the scene and compiles it. Every material is opaque and has two sides, so that all peers are asked the same.
+    /// Loads or makes the scene and compiles it. Every material is opaque and has two sides, so that all peers are
+    /// asked the same.
     ///
     /// # Errors
     /// A file is missing or damaged.
@@ -236,13 +237,13 @@ impl Recipe {
         Ok(scene)
     }
 
-    /// What is seen of it from that many times the usual distance.
+    /// The view from that many times the usual distance.
     pub fn view(&self, [width, height]: [u32; 2], distance: f64) -> View {
         let [eye, target] = [self.eye, self.target].map(DVec3::from_array);
         View::look_at(target + (eye - target) * distance, target, DVec3::Y, Camera::default(), width, height)
     }
 
-    /// Where its light is.
+    /// The position of its light.
     pub fn light(&self) -> DVec3 {
         DVec3::from_array(self.light)
     }

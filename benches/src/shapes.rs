@@ -1,4 +1,4 @@
-//! Geometry made from numbers: of as many triangles, or as many copies, as wanted.
+//! Generated geometry, of a given number of triangles or copies.
 
 use std::f64::consts::{PI, TAU};
 
@@ -7,7 +7,7 @@ use ropewalk::{Core, CoreKey, Geometry, Material, Scene, Transform};
 
 use crate::Result;
 
-/// A sphere of radius 1 of 2 `columns` (`rows` - 1) triangles: bands of quads between two fans.
+/// A sphere of radius 1, of 2 * `columns` * (`rows` - 1) triangles: bands of quads between two fans.
 pub fn sphere(rows: u32, columns: u32) -> Geometry {
     bands(rows, columns, DVec3::as_vec3)
 }
@@ -23,7 +23,7 @@ pub fn bumpy_sphere(triangles: u32) -> Geometry {
     })
 }
 
-/// A sphere each point of which is then placed anew.
+/// A sphere whose points are then displaced by a function.
 fn bands(rows: u32, columns: u32, place: impl Fn(DVec3) -> Vec3) -> Geometry {
     let mut positions = vec![place(DVec3::Y)];
     for row in 1..rows {
@@ -48,7 +48,7 @@ fn bands(rows: u32, columns: u32, place: impl Fn(DVec3) -> Vec3) -> Geometry {
     Geometry::new(positions, indices)
 }
 
-/// A core that shows the geometry.
+/// Adds the geometry and returns a core that shows it.
 ///
 /// # Errors
 /// As [`Scene::add_geometry`].
@@ -58,8 +58,8 @@ pub fn geometry_core(scene: &mut Scene, geometry: Geometry) -> Result<CoreKey> {
     Ok(scene.add_core(Core::Geometry { geometry, material })?)
 }
 
-/// Copies of a geometry, turned at random, scaled so that the cube that holds their centres has a side of 1. `overlap`: the boxes of all
-/// together, in volumes of the cube.
+/// Copies of a geometry, turned at random, scaled so that the cube that holds their centres has a side of 1. `overlap`:
+/// the boxes of all together, in volumes of the cube.
 ///
 /// # Errors
 /// As [`Scene::add_geometry`].

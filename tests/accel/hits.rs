@@ -38,7 +38,8 @@ fn built(meshes: &[Mesh], placed: &[Placed], params: &BlasBuildParams) -> Device
     arrays
 }
 
-/// Every triangle of one mesh in a chain of leaves, each in the box of all: no ray that meets that box passes any by.
+/// A hierarchy for brute force: a chain of leaves of one triangle each, all with the box of the whole mesh, so that a
+/// ray that enters that box tests every triangle.
 fn brute_force(arrays: &DeviceArrays) -> DeviceArrays {
     assert_eq!(arrays.instances.len(), 1);
     let root = arrays.blas_nodes[0];
@@ -63,7 +64,8 @@ fn trace(arrays: &mut DeviceArrays, rays: &[RayRecord]) -> Vec<HitRecord> {
     tracer.closest_hits(arrays, rays, 1).unwrap()
 }
 
-/// Compares with f64 (no answer is wrong), and, where f64 is sure, bit for bit with the same kernel's brute force.
+/// Compares hits with the oracle in f64, and, where the oracle is sure, bit for bit with brute force by the same
+/// kernel.
 fn check(name: &str, mesh: &Mesh, params: &BlasBuildParams, rays: &[RayRecord]) {
     let mut built = built(std::slice::from_ref(mesh), &[Placed::new(0, DAffine3::IDENTITY)], params);
     let hits = trace(&mut built, rays);
@@ -76,7 +78,7 @@ fn check(name: &str, mesh: &Mesh, params: &BlasBuildParams, rays: &[RayRecord]) 
         hit_count += usize::from(hit.instance != NONE);
         if candidates.iter().all(|c| c.verdict != Verdict::Tie) {
             sure += 1;
-            // Of a triangle that is there more than once, any will do.
+            // Where a triangle occurs more than once, either copy may be hit.
             let mut same_triangle = *hit;
             same_triangle.triangle = brute.triangle;
             assert_eq!(same_triangle, *brute, "{name}: {ray:?}");
@@ -87,7 +89,7 @@ fn check(name: &str, mesh: &Mesh, params: &BlasBuildParams, rays: &[RayRecord]) 
     assert!(sure * 2 > rays.len(), "{name}: rounding decides for {} of {} rays", rays.len() - sure, rays.len());
 }
 
-/// At points on the triangles, from all around and from close by.
+/// Rays at points on the triangles, half of them from far away in all directions and half from close by.
 fn rays_at(mesh: &Mesh, random: &mut Random, count: usize) -> Vec<RayRecord> {
     let bounds = Aabb::from_points(mesh.positions.iter().copied());
     let size = (bounds.max - bounds.min).max_element();
@@ -116,7 +118,7 @@ fn adversarial_meshes_are_hit_as_brute_force_hits_them() {
 
 #[test]
 fn rays_in_face_planes_of_boxes_hit() {
-    // The plane of the rays holds faces of many boxes: lattice lines, where the triangles' boxes end.
+    // The rays lie in a plane in which many boxes have a face: along a lattice line, where the triangles' boxes end.
     let mut hits = 0;
     let places = (0..3).flat_map(|a| [0.0, 3.0].into_iter().flat_map(move |l| [1e-20, 1.0, 1e18].map(|s| (a, l, s))));
     for ((axis, level, scale), structure) in places.flat_map(|place| STRUCTURES.map(|structure| (place, structure))) {

@@ -5,7 +5,7 @@ use ropewalk::graph::{BlasKind, Geometry, Quality};
 
 use ropewalk_testkit::{Mesh, Random};
 
-/// All that a bottom-level structure can be.
+/// All kinds of bottom-level structures.
 pub(crate) const STRUCTURES: [BlasKind; 4] =
     [BlasKind::Bvh(Quality::Low), BlasKind::Bvh(Quality::Medium), BlasKind::Bvh(Quality::High), BlasKind::KdTree];
 
@@ -13,7 +13,7 @@ pub(crate) fn geometry(mesh: &Mesh) -> Geometry {
     Geometry::new(mesh.positions.clone(), mesh.indices.clone())
 }
 
-/// Every mesh with its name, of at most some thousand triangles.
+/// Meshes that are hard to build well, each with its name and of at most a few thousand triangles.
 pub(crate) fn adversarial() -> Vec<(&'static str, Mesh)> {
     vec![
         ("one triangle", Mesh::soup(1, 1)),
@@ -35,7 +35,8 @@ pub(crate) fn adversarial() -> Vec<(&'static str, Mesh)> {
     ]
 }
 
-/// Where the kernel's arithmetic ends: such boxes must still be built, but need not be hit.
+/// Meshes with coordinates beyond the range of the kernel's arithmetic: their structures must be valid, but rays need
+/// not hit them.
 pub(crate) fn beyond_arithmetic() -> Vec<(&'static str, Mesh)> {
     let series = geometric_series(2.0, 250);
     let smallest = series.positions.iter().map(|p| p.max_element()).fold(f32::MAX, f32::min);
@@ -57,7 +58,7 @@ pub(crate) fn identical(count: usize) -> Mesh {
     Mesh { positions, indices: vec![[0, 1, 2]; count] }
 }
 
-/// All boxes have one centre.
+/// Triangles whose boxes all have the same centre.
 fn concentric(count: u32) -> Mesh {
     from_triangles((1..=count).map(|i| {
         let r = i as f32;
@@ -65,7 +66,7 @@ fn concentric(count: u32) -> Mesh {
     }))
 }
 
-/// Good triangles between ones with equal corners and ones with three corners on a line.
+/// Triangles with an area, between triangles with two equal corners and triangles whose corners lie on a line.
 fn without_area() -> Mesh {
     let mut mesh = Mesh::soup(4, 300);
     let good = mesh.indices.clone();
@@ -85,7 +86,7 @@ fn needles(count: usize) -> Mesh {
     }))
 }
 
-/// Along a space diagonal, where boxes are mostly empty.
+/// Thin triangles along a diagonal of space, whose boxes are mostly empty.
 fn on_a_line(count: u32) -> Mesh {
     from_triangles((0..count).map(|i| {
         let p = Vec3::splat(i as f32);
@@ -93,7 +94,7 @@ fn on_a_line(count: u32) -> Mesh {
     }))
 }
 
-/// Each triangle `ratio` times as large, and as far out, as the one before.
+/// Triangles in a row, each `ratio` times as large as the one before and `ratio` times as far from the origin.
 fn geometric_series(ratio: f32, count: i32) -> Mesh {
     from_triangles((0..count).map(|i| {
         let size = ratio.powi(i - count / 2);

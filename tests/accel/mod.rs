@@ -1,4 +1,4 @@
-//! The acceleration structures: every hierarchy is whole, good, and finds what brute force finds.
+//! The acceleration structures: every hierarchy is valid and of good quality, and rays hit in it what brute force hits.
 
 #![allow(clippy::panic, clippy::unwrap_used, reason = "a test fails by panicking")]
 

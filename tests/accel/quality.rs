@@ -1,4 +1,4 @@
-//! How good the hierarchies are, against a builder that tries every split.
+//! The SAH cost of the hierarchies, compared with that of a builder that tries every split.
 
 use glam::DVec3;
 use ropewalk::accel::{Blas, BlasBuildParams, MAX_CHILDREN};
@@ -19,8 +19,8 @@ fn union(boxes: &[Aabb]) -> Aabb {
     boxes.iter().fold(Aabb::EMPTY, |a, b| a.union(*b))
 }
 
-/// The cost of the tree that splits greedily at the best of all planes between sorted centres, in units of fetching a node:
-/// both children of an inner node are fetched.
+/// The SAH cost, in node fetches, of the tree that is split greedily at the best of all planes between sorted centres.
+/// Both children of an inner node are fetched.
 fn full_sweep_cost(boxes: &mut [Aabb]) -> f64 {
     let area = half_area(&union(boxes));
     let triangle_cost = f64::from(PARAMS.triangle_cost);
@@ -98,7 +98,8 @@ fn node_area(node: &Node) -> f64 {
     half_area(&Aabb { min: node.min.into(), max: node.max.into() })
 }
 
-/// Cost times root area, depth and leaves of the subtree in `nodes[index..end]`, by recursion.
+/// The SAH cost (times the root's area), the depth and the number of leaves of the subtree in `nodes[index..end]`, by
+/// recursion.
 fn walk(nodes: &[Node], index: usize, end: usize) -> (f64, usize, usize) {
     let node = &nodes[index];
     let area = node_area(node);
@@ -117,7 +118,7 @@ fn walk(nodes: &[Node], index: usize, end: usize) -> (f64, usize, usize) {
     (sum.0, 1 + sum.1, sum.2)
 }
 
-/// The surface of each inner node but the root, over that of its parent, and its number of children.
+/// For each inner node but the root: its surface area over that of its parent, and its number of children.
 fn shares(nodes: &[Node]) -> Vec<(f64, usize)> {
     let mut shares = Vec::new();
     let mut ancestors: Vec<(usize, usize)> = Vec::new();
@@ -147,7 +148,8 @@ fn nodes_that_save_nothing_are_left_out() {
         let (inner, binary) = (stats.node_count - stats.leaf_count, stats.leaf_count - 1);
         println!("{name}: {inner} inner nodes of {binary}");
         assert!(inner * 4 < binary * 3, "{name}: {inner} inner nodes of {binary}");
-        // Each node that is left saves fetches, but for those that the limit of children has kept: full ones, or below one.
+        // Each inner node that pruning kept saves fetches, except those that the limit on the number of children kept:
+        // nodes with that many children, and nodes below one.
         let shares = shares(&blas.nodes);
         let useless = shares.iter().filter(|(share, children)| *children as f64 * (1.0 - share) < 0.99).count();
         assert!(shares.len() > 500 && useless * 20 < shares.len(), "{name}: {useless} of {}", shares.len());

@@ -1,4 +1,5 @@
-//! Structures whose triangles have moved: whole, no larger than they must be, and rays hit what they hit in a new one.
+//! Structures that were refitted after their triangles moved: they are valid, their boxes are tight, and rays hit what
+//! they hit in a new structure.
 
 use glam::{DAffine3, Quat, Vec3};
 use ropewalk::Quality;
@@ -17,7 +18,7 @@ fn build(geometry: &Geometry, quality: Quality) -> Blas {
     Blas::build(geometry, &BlasBuildParams::new(BlasKind::Bvh(quality))).unwrap()
 }
 
-/// Everything turned about an axis, the more the farther along it.
+/// The mesh twisted about an axis.
 fn twisted(mesh: &Mesh, turn: f32) -> Mesh {
     let bounds = Aabb::from_points(mesh.positions.iter().copied());
     let height = (bounds.max.y - bounds.min.y).max(f32::MIN_POSITIVE);
@@ -30,7 +31,7 @@ fn check(name: &str, mesh: &Mesh, moved: &Mesh, quality: Quality) {
     let mut blas = built.clone();
     assert!(blas.refit(&geometry(moved)), "{name}");
     assert_eq!(blas.validate(), Ok(()), "{name}");
-    // Which node and triangle lies where has stayed; all else is that of the new shape.
+    // The order of nodes and triangles is that of the old structure; boxes and corners are those of the new shape.
     let links = |blas: &Blas| blas.nodes.iter().map(|n| (n.escape_index, n.primitives)).collect::<Vec<_>>();
     assert_eq!(links(&blas), links(&built));
     for (new, old) in blas.triangles.iter().zip(&built.triangles) {
@@ -62,7 +63,7 @@ fn deformed_structures_are_whole() {
         }
     }
     for quality in QUALITIES {
-        // Large enough for several threads, and of one task.
+        // A mesh that several threads refit, and one that is a single task.
         for subdivisions in [1, 3, 6] {
             let mesh = Mesh::displaced_icosphere(subdivisions);
             check("twisted", &mesh, &twisted(&mesh, 2.0), quality);
@@ -99,7 +100,8 @@ fn the_number_of_threads_does_not_matter() {
     assert_eq!(refit(1), refit(3));
 }
 
-/// Where a triangle gets or loses two equal corners, its structure must be built anew.
+/// A refit is refused if a triangle comes to have two equal corners, or no longer has: degenerate triangles are not in
+/// a structure.
 #[test]
 fn triangles_that_come_and_go_are_noticed() {
     let mesh = Mesh::displaced_icosphere(4);
@@ -117,7 +119,7 @@ fn triangles_that_come_and_go_are_noticed() {
     assert!(flat.triangles.len() < mesh.indices.len());
     assert!(flat.clone().refit(&geometry(&pinched(far - 1))), "the same ones are left out");
     assert!(!flat.refit(&geometry(&mesh)), "two triangles came");
-    // Other geometries altogether are refused, too.
+    // Geometries with other triangles are refused, too.
     for other in [Mesh::soup(1, mesh.indices.len() - 1), Mesh::soup(1, 0)] {
         assert!(!build(&geometry(&mesh), Quality::Medium).refit(&geometry(&other)));
     }
@@ -126,7 +128,7 @@ fn triangles_that_come_and_go_are_noticed() {
 #[test]
 fn rays_hit_what_they_hit_in_a_new_structure() {
     let mut random = Random::new(3);
-    // Corners that are very near each other may meet when they are turned.
+    // Corners that are very close together may become equal by rounding when they are turned.
     let mut soup = Mesh::soup(2, 3000);
     let (positions, indices) = (&soup.positions, &mut soup.indices);
     indices.retain(|t| (0..3).all(|i| positions[t[i] as usize].distance(positions[t[(i + 1) % 3] as usize]) > 1e-4));
@@ -149,7 +151,7 @@ fn rays_hit_what_they_hit_in_a_new_structure() {
                 let mut tracer = Emulated::default();
                 tracer.upload(&mut arrays).unwrap();
                 let hits = tracer.closest_hits(&arrays, &rays, 1).unwrap();
-                // Where it lies may differ, not which it is.
+                // The index in the array may differ, but not the primitive.
                 let without_triangle = |mut hit: HitRecord| {
                     hit.triangle = 0;
                     hit

@@ -1,4 +1,5 @@
-//! Bottom-level structures are whole: every triangle in one leaf, every box around what is in it, escape indices in order.
+//! Bottom-level structures are whole: every triangle in one leaf, every box around what is in it, escape indices in
+//! order.
 
 use glam::Vec3;
 use ropewalk::Error;
@@ -135,19 +136,20 @@ fn a_subtree_starts_with_its_larger_child() {
         let [x, y, z] = [0, 1, 2].map(|axis| blas.nodes[i].max[axis] - blas.nodes[i].min[axis]);
         x * y + y * z + z * x
     };
-    // Of those with two children nothing was left out below.
+    // Below nodes with two children, pruning removed nothing.
     let end = |i: usize| (blas.nodes[i].escape_index as usize).min(blas.nodes.len());
     let inner = (0..blas.nodes.len()).filter(|&i| blas.nodes[i].primitives == PrimitiveRange::INNER);
     let pairs = inner.filter(|&i| end(end(i + 1)) == end(i));
     let pairs: Vec<_> = pairs.map(|i| (area(i + 1), area(end(i + 1)))).collect();
     assert!(pairs.len() > 100);
-    // Padding may turn around boxes of equal area.
+    // Padding may reverse the order of boxes of equal area.
     assert!(pairs.iter().all(|(first, second)| *first >= second * 0.9999));
 }
 
-/// Breaks a good hierarchy and returns what validation says.
+/// Applies a change to a valid hierarchy and returns the error that validation finds.
 fn verdict(spoil: impl FnOnce(&mut Blas)) -> BvhError {
-    let mut blas = Blas::build(&geometry(&Mesh::soup(1, 300)), &BlasBuildParams::default()).unwrap();
+    // No triangle of this soup is degenerate, so all 300 are in the structure.
+    let mut blas = Blas::build(&geometry(&Mesh::soup(4, 300)), &BlasBuildParams::default()).unwrap();
     assert_eq!(blas.validate(), Ok(()));
     spoil(&mut blas);
     blas.validate().unwrap_err()
@@ -200,12 +202,13 @@ fn validation_finds_what_is_missing_of_a_triangle() {
     assert!(good.has_duplicates && good.validate() == Ok(()));
     let times = |primitive: u32| good.triangles.iter().filter(|t| t.primitive == primitive).count();
     let repeated = (0..300).find(|&p| times(p) > 1).unwrap();
-    // Nothing is to repeat.
+    // A structure without duplicates.
     let mut once = good.clone();
     once.has_duplicates = false;
     let verdict = once.validate();
     assert!(matches!(verdict, Err(BvhError::Repeated { .. })), "{verdict:?}");
-    // A part after the other becomes another triangle that is there anyway: something is not covered, or twice in a leaf.
+    // One copy of a triangle after the other is replaced by another triangle of the structure: then something is not
+    // covered, or is in a leaf twice.
     let mut found = 0;
     for (i, _) in good.triangles.iter().enumerate().filter(|(_, t)| t.primitive == repeated) {
         let mut spoilt = good.clone();

@@ -1,4 +1,4 @@
-//! The top level, as it is built: one instance a leaf, whatever the boxes.
+//! Building the TLAS: each leaf holds one instance, whatever the boxes.
 
 use glam::Vec3;
 use proptest::prelude::*;
@@ -7,7 +7,7 @@ use ropewalk::device::DeviceBuffer;
 use ropewalk::device::layout::{NONE, Node, PrimitiveRange};
 use ropewalk::math::Aabb;
 
-/// A top level and its nodes.
+/// A TLAS and its nodes.
 #[derive(Default)]
 pub(crate) struct Built {
     pub(crate) tlas: Tlas,
@@ -29,7 +29,7 @@ impl Built {
         self.tlas.validate(&self.nodes, boxes)
     }
 
-    /// The slots in the leaves, ascending.
+    /// The instances in the leaves, in ascending order.
     pub(crate) fn slots(&self) -> Vec<u32> {
         let leaves = self.nodes.iter().filter(|n| n.primitives != PrimitiveRange::INNER);
         let mut slots: Vec<u32> = leaves.map(|n| n.primitives.first_primitive()).collect();

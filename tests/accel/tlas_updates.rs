@@ -1,4 +1,5 @@
-//! The top level, kept up to date: after any updates it is whole, tight, and known to be as dear as it is.
+//! Updating the TLAS: after any sequence of updates it is valid, its boxes are tight, and the cost that it reports is
+//! its SAH cost.
 
 use glam::Vec3;
 use proptest::prelude::*;
@@ -9,7 +10,7 @@ use ropewalk::math::Aabb;
 use super::tlas::{Built, any_box, build, cube};
 use ropewalk_testkit::Random;
 
-/// What an executor has copied: the changed ranges, and nothing else.
+/// The nodes as an executor has them, which copies only the ranges marked as changed.
 fn catch_up(copy: &mut Vec<Node>, built: &mut Built) -> usize {
     let nothing: Node = bytemuck::Zeroable::zeroed();
     copy.resize(built.nodes.len(), nothing);
@@ -24,7 +25,7 @@ fn same(a: &[Node], b: &[Node]) -> bool {
     bytemuck::cast_slice::<_, u8>(a) == bytemuck::cast_slice::<_, u8>(b)
 }
 
-/// Checks everything that must hold between two updates.
+/// Checks all invariants between two updates.
 fn check(built: &Built, boxes: &[Aabb]) {
     assert_eq!(built.validate(boxes), Ok(()));
     let expected: Vec<u32> = (0..boxes.len() as u32).filter(|&slot| !boxes[slot as usize].is_empty()).collect();
@@ -37,7 +38,7 @@ fn check(built: &Built, boxes: &[Aabb]) {
     assert!(measured.depth <= Tlas::MAX_DEPTH);
 }
 
-/// Each leaf has the box that a new hierarchy gives it, and each inner node just the box around its children.
+/// Checks that each leaf has the box that a new TLAS would give it, and each inner node the box around its children.
 fn check_tight(built: &Built, boxes: &[Aabb]) {
     let fresh = build(boxes);
     let mut expected = vec![None; boxes.len()];
@@ -61,7 +62,7 @@ fn check_tight(built: &Built, boxes: &[Aabb]) {
     }
 }
 
-/// The slots that a ray enters, walking as the kernel does, and how many nodes it fetches.
+/// The instances whose boxes a ray enters, traversed as the kernel does it, and the number of nodes fetched.
 fn walk(nodes: &[Node], origin: Vec3, direction: Vec3) -> (Vec<u32>, usize) {
     let (mut entered, mut fetched, mut index) = (Vec::new(), 0, 0);
     while index != NONE && !nodes.is_empty() {
@@ -86,7 +87,8 @@ fn meets(node: &Node, origin: Vec3, direction: Vec3) -> bool {
     a.min(b).max_element().max(0.0) <= a.max(b).min_element()
 }
 
-/// Rays enter each instance whose box they meet once, and nothing else. One looks along the diagonal to where unused boxes are.
+/// Checks that rays enter each instance whose box they meet once, and no other. One ray goes along the diagonal towards
+/// the boxes of unused nodes.
 fn check_rays(built: &Built, random: &mut Random) {
     let leaves: Vec<Node> = built.nodes.iter().filter(|n| n.primitives != PrimitiveRange::INNER).copied().collect();
     for i in 0..8 {
@@ -100,19 +102,19 @@ fn check_rays(built: &Built, random: &mut Random) {
     }
 }
 
-/// A change of some slots at once.
+/// One update, of several instances at once.
 #[derive(Clone, Debug)]
 enum Edit {
-    /// Each of these slots (modulo their number) gets this box.
+    /// Each of these instances (modulo their number) gets this box.
     Set(Vec<(usize, Aabb)>),
-    /// All slots move a little.
+    /// All instances move a little.
     MoveAll(u64),
     Remove(Vec<usize>),
-    /// Slots are shown again where they were removed.
+    /// Removed instances are added again.
     Restore(Vec<usize>),
-    /// New slots at the end.
+    /// New instances at the end.
     Append(Vec<Aabb>),
-    /// The last ones are gone.
+    /// The last instances are removed.
     Truncate(usize),
 }
 
@@ -133,14 +135,14 @@ fn small_box() -> impl Strategy<Value = Aabb> + Clone {
     (-1.0f32..1.0, -1.0f32..1.0, -1.0f32..1.0, 0.0f32..0.1).prop_map(|(x, y, z, half)| cube(Vec3::new(x, y, z), half))
 }
 
-/// The model: boxes by slot, and those that are hidden.
+/// The expected state: the box of each instance, and which instances are hidden.
 struct Model {
     boxes: Vec<Aabb>,
     hidden: Vec<Aabb>,
 }
 
 impl Model {
-    /// Returns the slots that may have changed.
+    /// Applies the update and returns the instances that may have changed.
     fn apply(&mut self, edit: &Edit) -> Vec<u32> {
         let count = self.boxes.len();
         let of = |i: &usize| i % count.max(1);
@@ -227,7 +229,7 @@ fn field(count: usize) -> Vec<Aabb> {
     (0..count).map(|_| cube(random.in_cube(), 0.01)).collect()
 }
 
-/// The slots whose box changes from `before` to `after`.
+/// The instances whose boxes differ between `before` and `after`.
 fn move_by(boxes: &mut [Aabb], slots: impl IntoIterator<Item = u32>, by: Vec3) -> Vec<u32> {
     let slots: Vec<u32> = slots.into_iter().collect();
     for &slot in &slots {
@@ -254,7 +256,7 @@ fn one_moved_instance_changes_its_leaf_and_few_others() {
     assert_eq!(catch_up(&mut copy, &mut built), 0);
 }
 
-/// Wherever the last node's instance is, in one of the rounds it goes with half of the others.
+/// In each round half of the instances are hidden; in one of the rounds the instance of the last node is among them.
 #[test]
 fn half_of_the_instances_go_and_come_back() {
     for remainder in 0..2 {
@@ -282,7 +284,7 @@ fn many_moved_instances_refit() {
     assert!(same(&copy, &built.nodes));
     check(&built, &boxes);
 
-    // A refit and as many patches give the same nodes.
+    // One refit gives the same nodes as a patch for each instance.
     let mut patched = build(&field(50_000));
     for slots in changed.chunks(100) {
         assert!(matches!(patched.update(&boxes, slots), TlasUpdate::Patched { .. }));
@@ -355,7 +357,7 @@ fn instances_come_without_a_rebuild_once_there_is_room() {
         boxes.push(cube(random.in_cube(), 0.01));
         built.update(boxes, &[boxes.len() as u32 - 1])
     };
-    // A hierarchy has no room until it has been needed once.
+    // A new TLAS has no spare nodes: the first insertion rebuilds it with some.
     assert_eq!(built.nodes.len(), 2 * boxes.len() - 1);
     assert_eq!(grow(&mut built, &mut boxes), TlasUpdate::Rebuilt(RebuildReason::NoUnusedLeaf));
     for _ in 0..100 {
@@ -370,7 +372,7 @@ fn instances_come_without_a_rebuild_once_there_is_room() {
 
 #[test]
 fn instances_go_without_a_rebuild_until_half_are_gone() {
-    // From the end of the array, from its start, and from everywhere.
+    // Removal from the end of the array, from its start, and in random order.
     let orders: [fn(&mut Vec<u32>); 3] = [|_| {}, |order| order.reverse(), |order| order.sort_unstable()];
     for order in orders {
         let mut boxes = field(500);

@@ -1,4 +1,4 @@
-//! Boxes of placed geometries: around every corner, and hardly larger than they must be.
+//! World boxes of instances: they contain every corner, and are hardly larger than necessary.
 
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 use ropewalk::accel::{Blas, BlasBuildParams, SupportFunction};
@@ -7,7 +7,7 @@ use ropewalk::math::Bounds;
 use super::meshes::{adversarial, beyond_arithmetic, geometry, grid};
 use ropewalk_testkit::{Mesh, Random};
 
-/// The exact box, as f64 goes.
+/// The exact world box, computed in f64 from every corner.
 fn brute_force(blas: &Blas, world_from_local: &DAffine3) -> Bounds {
     let corners = blas.triangles.iter().flat_map(|t| [t.v0, t.v1, t.v2]);
     corners.fold(Bounds::EMPTY, |bounds, corner| {
@@ -28,8 +28,8 @@ fn random_affine(random: &mut Random) -> DAffine3 {
     }
 }
 
-/// How much larger than it must be the box is on its worst side, in units of half the diagonal of the geometry's own box, as
-/// long as that is in the world. Fails where it is too small.
+/// The greatest distance between a side of the box and the same side of the exact box, in units of half the length of
+/// the local box's diagonal in the world. Fails if the box is too small.
 fn excess(name: &str, blas: &Blas, support: &SupportFunction, world_from_local: &DAffine3) -> f64 {
     let (expected, found) = (brute_force(blas, world_from_local), support.world_bounds(world_from_local));
     let size = Bounds::from(blas.bounds).radius();
@@ -64,7 +64,7 @@ fn boxes_are_around_all_corners_and_tight() {
         let is_fine = blas.triangles.len() >= 16_384;
         assert!(worst <= if is_fine { 0.09 } else { 0.18 }, "{name}: {worst}");
         if name.ends_with("icosphere") {
-            // Half of its box's diagonal is the square root of 3 times its radius.
+            // Half the diagonal of a sphere's box is the square root of 3 times its radius.
             let of_radius = worst * 3f64.sqrt();
             assert!(of_radius <= if is_fine { 0.004 } else { 0.016 }, "{name}: {of_radius}");
         }

@@ -1,4 +1,5 @@
-//! The compiler: edit by edit equals from nothing, and each kind of edit costs what it should.
+//! The compiler: compiling edit by edit gives what compiling from scratch gives, and each kind of edit costs what it
+//! should.
 
 #![expect(clippy::unwrap_used, reason = "a panic in a test is a failure")]
 
@@ -23,7 +24,7 @@ const EYE: DVec3 = DVec3::new(0.0, 0.0, 10.0);
 proptest! {
     #![proptest_config(ProptestConfig { cases: 256, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// ARCHITECTURE, invariants: the scene compiled edit by edit equals the scene compiled from nothing.
+    /// ARCHITECTURE, invariants: the scene compiled edit by edit equals the scene compiled from scratch.
     #[test]
     fn random_edits_compile_as_from_nothing(edits in prop::collection::vec(edit(), 1..100), every in 1usize..8) {
         let mut world = World::new();
@@ -32,7 +33,7 @@ proptest! {
         for (i, edit) in edits.iter().enumerate() {
             world.apply(edit);
             if i % every == 0 || i + 1 == edits.len() {
-                // Some levels of detail depend on how large things are in the image.
+                // Some levels of detail depend on the projected size.
                 let height = ViewHeight::Perspective([0.1, 1.0, 10.0][i % 3]);
                 let observer = Viewpoint { height, ..EYE.into() };
                 let report = compiler.compile(&mut world.scene, observer).unwrap();
@@ -50,7 +51,7 @@ proptest! {
             }
         }
         prop_assert!(compared > 0);
-        // What is removed is freed: without nodes there is nothing on the device.
+        // Data without users is freed: a scene without nodes leaves all arrays empty.
         for child in world.scene.children(world.scene.root()).unwrap().collect::<Vec<_>>() {
             world.scene.remove(child).unwrap();
         }
@@ -59,7 +60,8 @@ proptest! {
     }
 }
 
-/// Geometries that change may have other structures than ones built now. But they hold the same, and rays find it.
+/// A geometry that has changed may have another structure than one built from scratch, but with the same triangles, and
+/// rays hit the same.
 #[test]
 fn random_deformations_show_what_is_compiled_from_nothing() {
     let (refitted, built) = (Cell::new(0), Cell::new([0; 3]));
@@ -85,7 +87,8 @@ fn random_deformations_show_what_is_compiled_from_nothing() {
                 let rays = rays_at(fresh.arrays());
                 let [ours, theirs] = [&mut compiler, &mut fresh].map(|c| hits_in(c.arrays_mut(), &rays));
                 prop_assert_eq!(ours.0, theirs.0);
-                // Instances of the same at the same place are equally far, and it is their order that decides.
+                // Copies of a geometry at the same place are equally far away, and then the order of instances decides
+                // which is hit.
                 same.set(same.get() + ours.1.iter().zip(&theirs.1).filter(|(a, b)| a.is_some() && a == b).count());
                 hits.set(hits.get() + ours.1.iter().flatten().count());
                 refitted.set(refitted.get() + report.blas_refitted);
@@ -105,7 +108,7 @@ fn random_deformations_show_what_is_compiled_from_nothing() {
     assert!(refitted.get() > 1000 && built.get().iter().all(|&count| count > 3));
 }
 
-/// What an executor has that copies what is marked as changed, and nothing else.
+/// The arrays as an executor has them, which copies only the ranges marked as changed.
 #[derive(Default)]
 struct Copies {
     nodes: Vec<u8>,
@@ -116,7 +119,7 @@ struct Copies {
 }
 
 impl Copies {
-    /// The name of an array that is not what the executor has.
+    /// Copies what is marked as changed; returns the name of the first array that then differs from the copy.
     fn catch_up(&mut self, arrays: &mut DeviceArrays) -> Option<&'static str> {
         fn is_equal<T: bytemuck::Pod>(copy: &mut Vec<u8>, array: &mut DeviceBuffer<T>) -> bool {
             copy.resize(size_of_val::<[T]>(array), 0xff);
@@ -138,7 +141,7 @@ impl Copies {
     }
 }
 
-/// At points in the boxes of instances, from near and far.
+/// Rays at points in the boxes of instances, from near and from far.
 fn rays_at(arrays: &DeviceArrays) -> Vec<RayRecord> {
     let mut random = Random::new(1);
     let leaves = arrays.tlas_nodes.iter().filter(|node| node.primitives.primitive_count() > 0);
@@ -155,7 +158,7 @@ fn rays_at(arrays: &DeviceArrays) -> Vec<RayRecord> {
     (0..count).map(&mut ray).collect()
 }
 
-/// How far each ray gets, and the node and the triangle that it hits.
+/// The distance (as bits), the node and the triangle of each ray's hit.
 fn hits_in(arrays: &mut DeviceArrays, rays: &[RayRecord]) -> (Vec<u32>, Vec<Option<[u32; 2]>>) {
     let mut tracer = Emulated::default();
     tracer.upload(arrays).unwrap();
@@ -166,7 +169,7 @@ fn hits_in(arrays: &mut DeviceArrays, rays: &[RayRecord]) -> (Vec<u32>, Vec<Opti
 
 #[test]
 fn canonical_form_sees_each_field() {
-    // A planted difference in each array must show.
+    // A difference planted in each array must be found.
     let mut world = World::new();
     world.populate();
     let mut compiler = Compiler::new();
@@ -219,7 +222,7 @@ fn an_unchanged_scene_changes_nothing() {
     let second = compiler.compile(&mut world.scene, EYE).unwrap();
     assert_eq!((second.tlas, second.blas_built), (TlasUpdate::Kept, 0));
     assert_eq!(dirty_bytes(&mut compiler), 0);
-    // Nor does a camera that moves a little, or setting a value to what it was.
+    // Nor is anything compiled for a camera that moves a little, or for a value that is set to what it was.
     let node = world.nodes[1];
     world.scene.set_local(node, world.scene.local(node).unwrap()).unwrap();
     let third = compiler.compile(&mut world.scene, EYE + DVec3::splat(0.01)).unwrap();

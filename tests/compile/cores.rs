@@ -1,4 +1,4 @@
-//! What each kind of core does, as seen in the picture.
+//! The effect of each kind of core on the image.
 
 #![expect(clippy::unwrap_used, reason = "a panic in a test is a failure")]
 
@@ -39,7 +39,7 @@ fn cpu() -> Renderer {
     Renderer::new(&RendererOptions::default().with_device(DeviceChoice::Cpu)).unwrap()
 }
 
-/// The node in the middle of the picture.
+/// The node seen at the centre of the image.
 fn seen(renderer: &mut Renderer, scene: &mut Scene, eye: DVec3) -> Option<NodeKey> {
     let image = renderer.render(scene, &view_from(eye)).unwrap().image().unwrap();
     image.node_at(SIZE / 2, SIZE / 2)
@@ -60,20 +60,20 @@ fn a_switch_shows_what_it_chooses() {
         (Switch::None, None),
         (Switch::One(7), None),
         (Switch::Set([2, 9].into()), Some(children[2])),
-        // Of surfaces in one place the first to be hit has the lower number.
+        // Of surfaces at the same place, the instance with the lower index is hit.
         (Switch::All, Some(children[0])),
     ] {
         scene.set_core(key, Core::Switch(switch.clone())).unwrap();
         assert_eq!(seen(&mut renderer, &mut scene, eye).is_some(), shown.is_some(), "{switch:?}");
     }
 
-    // Children are counted anew when one goes or comes.
+    // `Switch::One` counts children by position, so it shows another child after one is removed or added.
     scene.set_core(key, Core::Switch(Switch::One(1))).unwrap();
     scene.remove(children[0]).unwrap();
     assert_eq!(seen(&mut renderer, &mut scene, eye), Some(children[2]));
     scene.reparent(children[1], scene.root(), KeepTransform::Local).unwrap();
     assert_eq!(seen(&mut renderer, &mut scene, eye), Some(children[1]), "nobody hides it any more");
-    // A switch that becomes a group shows all.
+    // A switch that becomes a group shows all its children.
     scene.remove(children[1]).unwrap();
     assert_eq!(seen(&mut renderer, &mut scene, eye), None);
     scene.set_core(key, Core::Group).unwrap();
@@ -105,7 +105,8 @@ fn of_material_groups_the_outermost_counts() {
     assert!(scene.material(outer).is_err(), "a material group was its only user");
 }
 
-/// A prototype with a light in it, instanced by prototypes that are instanced, against the same built of copies.
+/// A prototype with a light in it, instanced by prototypes that are themselves instanced, compared with the same scene
+/// made of copies.
 #[test]
 fn instances_of_instances_look_like_copies() {
     let place = |i: usize| Transform::Trs {
@@ -142,7 +143,7 @@ fn instances_of_instances_look_like_copies() {
         let parent = scene.add(rows, place(i)).unwrap();
         scene.add(parent, Core::Instance(prototype)).unwrap();
     }
-    // Instances stand before what they show.
+    // In the scene, the instances come before the nodes that they instance.
     leaf(&mut scene, prototype, geometry, own);
 
     let view = view_from(DVec3::new(1.0, 1.0, 4.0));
@@ -160,7 +161,7 @@ fn instances_of_instances_look_like_copies() {
     };
     check(&mut one, &mut other, &mut scene, &mut copies);
 
-    // An edit of the prototype changes all nine, and each has a path of its own.
+    // An edit of the prototype changes all nine appearances, and each has a path of its own.
     let (scene_, hierarchy) = scene.with_hierarchy().unwrap();
     let lamp = scene_.children(prototype).unwrap().last().unwrap();
     assert_eq!(hierarchy.entries(lamp).count(), 1 + 3 + 9);
@@ -211,12 +212,13 @@ fn instances_that_multiply_are_refused_before_they_take_memory() {
     for &group in &groups[10..] {
         scene.remove(group).unwrap();
     }
-    // 2^10 - 1 of what the first shows, 2^9 - 1 of the second's, ...; each time the groups and their instances.
+    // Entries: 2^10 - 1 for what the first group shows, 2^9 - 1 for the second, and so on; each for the groups and
+    // their instances.
     assert!(scene.hierarchy().unwrap().nodes().len() > 1 << 10);
     scene.validate().unwrap();
 }
 
-/// An instance of an instance: the outer one is looked at after it has gone with the inner one.
+/// An instance of an instance: the outer one disappears together with the inner one, in the same update.
 #[test]
 fn instances_change_and_move_in_one_go() {
     let mut scene = Scene::new();
@@ -230,11 +232,11 @@ fn instances_change_and_move_in_one_go() {
     scene.hierarchy().unwrap();
     scene.validate().unwrap();
     let shown = scene.hierarchy().unwrap().entries(other).count();
-    // Where it stands, below the inner one, and below the outer one's inner one.
+    // At its own place, below the inner instance, and below the outer instance's inner one.
     assert_eq!(shown, 3);
 }
 
-/// A forest: ten thousand instances of a tree with levels of detail, edited and removed, in no more than linear time.
+/// Ten thousand instances of a tree with levels of detail are edited and removed in no more than linear time.
 #[test]
 fn a_forest_is_planted_edited_and_felled() {
     let mut scene = Scene::new();
@@ -276,7 +278,7 @@ fn levels_of_detail_suit_the_distance_of_each_camera() {
     for (distance, child) in [(9.9, 0), (10.9, 0), (11.1, 1), (9.1, 1), (8.9, 0)] {
         assert_eq!(seen(&mut near, &mut scene, eye(distance)), Some(children[child]), "at {distance}");
     }
-    // What is added to a level that is not shown is not seen.
+    // A node added below a level that is not shown is not compiled.
     let more = squares(&mut scene, children[1], 1);
     assert_eq!(seen(&mut near, &mut scene, eye(5.0)), Some(children[0]));
     scene.remove(children[0]).unwrap();
@@ -316,7 +318,7 @@ fn billboards_face_each_camera() {
     let place = Transform::from_rotation(DQuat::from_rotation_x(0.7)).with_translation(DVec3::new(0.1, 0.2, 0.3));
     let place = scene.add(scene.root(), place).unwrap();
     let board = scene.add(place, Billboard::Spherical).unwrap();
-    // Below a billboard things move as they do elsewhere.
+    // Nodes below a billboard move as elsewhere.
     let below = scene.add(board, at(0.0, 0.0, 0.0)).unwrap();
     squares(&mut scene, below, 1);
     let center = scene.world_from_local(board).unwrap().translation;
@@ -329,12 +331,12 @@ fn billboards_face_each_camera() {
         let to_eye = (eye - center).normalize().as_vec3();
         assert!(Vec3::from(normal).dot(to_eye) > 0.999_99, "{normal:?} does not look at {to_eye}");
     }
-    // About an axis only.
+    // A cylindrical billboard turns about its axis only.
     scene.assign_core(board, Billboard::Cylindrical(DVec3::Y)).unwrap();
     scene.set_local(place, at(0.0, 0.0, 0.0)).unwrap();
     let image = renderer.render(&mut scene, &view_from(DVec3::new(3.0, 3.0, 0.0))).unwrap().image().unwrap();
     let normal = Vec3::from(image.aovs.unwrap().normal[(SIZE * SIZE / 2) as usize]);
     assert!(normal.abs_diff_eq(Vec3::X, 1e-5), "{normal}");
-    // The graph itself has not changed.
+    // Billboards are evaluated by the compiler: the scene graph itself does not change.
     assert_eq!(scene.world_from_local(below).unwrap().translation, DVec3::ZERO);
 }

@@ -1,4 +1,4 @@
-//! Geometries that deform, and the structures they get.
+//! Deforming geometries, and whether their structures are refitted or rebuilt.
 
 #![expect(clippy::unwrap_used, reason = "a panic in a test is a failure")]
 
@@ -81,7 +81,7 @@ fn the_choice_of_a_structure_travels() {
     mirror.apply(&scene.delta_since(&mut cursor)).unwrap();
     assert_eq!(mirror.geometry(key).unwrap().blas_kind, Some(BlasKind::KdTree));
 
-    // A change of nothing else is one.
+    // A change of the kind of structure alone is a change, too.
     let best = BlasKind::Bvh(Quality::High);
     scene.set_geometry(key, scene.geometry(key).unwrap().clone().with_blas_kind(best)).unwrap();
     mirror.apply(&scene.delta_since(&mut cursor)).unwrap();
@@ -100,7 +100,7 @@ fn the_choice_of_a_structure_travels() {
     assert_eq!(Scene::load(&path).unwrap().geometry(key).unwrap().blas_kind, Some(BlasKind::KdTree));
 }
 
-/// A bumpy sphere of 2 * `rows` * 2 * `rows` triangles, of which none is without area.
+/// A sphere with bumps, of 2 * `rows` * 2 * `rows` triangles, all with an area.
 fn sphere(rows: u32) -> Geometry {
     let (columns, pi) = (2 * rows, std::f32::consts::PI);
     let point = |i: u32| {
@@ -115,7 +115,7 @@ fn sphere(rows: u32) -> Geometry {
     Geometry::new((0..(rows + 1) * columns).map(point).collect::<Vec<_>>(), triangles.collect::<Vec<_>>())
 }
 
-/// Its positions, turned about the axis the more the farther up.
+/// Its positions, twisted about the vertical axis.
 fn twisted(geometry: &Geometry, turn: f32) -> Vec<Vec3> {
     geometry.positions.iter().map(|p| Quat::from_rotation_y(turn * p.y) * *p).collect()
 }
@@ -160,7 +160,7 @@ impl Shown {
         self.compile()
     }
 
-    /// Copied to the device: nodes, triangles, normals.
+    /// How many nodes, triangles and normals were copied to the device.
     fn written(&mut self) -> [Vec<std::ops::Range<usize>>; 3] {
         let arrays = self.compiler.arrays_mut();
         [arrays.blas_nodes.take_dirty(), arrays.triangles.take_dirty(), arrays.normals.take_dirty()]
@@ -179,7 +179,7 @@ fn a_deformed_geometry_is_refitted_in_its_place() {
     for (old, new) in places.iter().zip(&after) {
         assert_eq!((old.first_node, old.first_triangle), (new.first_node, new.first_triangle));
     }
-    // Only what is its own was written.
+    // Only the ranges of this geometry were written.
     let others: Vec<_> = after.iter().map(|instance| instance.first_triangle as usize).collect();
     let [nodes, triangles, normals] = shown.written();
     assert!(!nodes.is_empty() && normals.is_empty());
@@ -195,7 +195,7 @@ fn each_reason_is_told() {
     let key = shown.keys[0];
     let original = shown.scene.geometry(key).unwrap().clone();
 
-    // Normals alone are written alone.
+    // If only normals change, only normals are written.
     let normals: Arc<[Vec3]> = original.positions.iter().map(|p| p.normalize()).collect();
     shown.scene.set_geometry(key, Geometry { normals: Some(normals.clone()), ..original.clone() }).unwrap();
     let report = shown.compile();
@@ -209,7 +209,7 @@ fn each_reason_is_told() {
     assert_eq!(written.first(), Some(&(0..3 * normals.len())));
     assert_eq!(shown.compiler.arrays().normals[0].to_bits(), turned[0].x.to_bits());
 
-    // Corners meet, and part.
+    // Two corners become equal, and differ again: degenerate triangles require a rebuild.
     let mut pinched = original.positions.to_vec();
     pinched[1] = pinched[0];
     for positions in [pinched, original.positions.to_vec()] {
@@ -217,10 +217,10 @@ fn each_reason_is_told() {
         let report = shown.compile();
         assert_eq!((report.blas_refitted, report.blas_builds.triangles_changed, report.blas_built), (0, 1, 1));
     }
-    // Other triangles.
+    // Other triangles require a rebuild.
     shown.scene.set_geometry(key, sphere(21)).unwrap();
     assert_eq!(shown.compile().blas_builds, reasons(|reasons| reasons.triangles_changed = 1));
-    // Another structure, and one that is not refitted.
+    // Another structure requires a build, and one of high quality is not refitted.
     let best = sphere(21).with_blas_kind(BlasKind::Bvh(Quality::High));
     shown.scene.set_geometry(key, best).unwrap();
     assert_eq!(shown.compile().blas_builds, reasons(|reasons| reasons.structure_changed = 1));
@@ -244,7 +244,7 @@ fn undo_refits_too() {
     assert_eq!(shown.compiler.arrays().triangles.to_vec(), before);
 }
 
-/// However long it goes on, the structure stays about as good as one that is built anew.
+/// However long a deformation lasts, the structure's cost stays near that of a newly built one.
 #[test]
 fn what_twists_on_and_on_is_rebuilt_now_and_then() {
     let mut shown = Shown::new(vec![sphere(40)]);
@@ -257,7 +257,7 @@ fn what_twists_on_and_on_is_rebuilt_now_and_then() {
         refitted += report.blas_refitted;
         let geometry = shown.scene.geometry(shown.keys[0]).unwrap();
         let fresh = Blas::build(geometry, &params).unwrap();
-        // The same structure again, measured.
+        // The compiled structure's nodes in place of the new one's, to compare their costs.
         let mut ours = fresh.clone();
         ours.nodes = shown.compiler.arrays().blas_nodes.to_vec();
         worst = worst.max(ours.stats().sah_cost / fresh.stats().sah_cost);

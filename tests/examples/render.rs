@@ -1,6 +1,7 @@
-//! The example `render` as a user meets it: what it prints, its exit codes, and the files that it leaves.
+//! The command line of the example `render`: its output, its exit codes, and the files that it writes.
 //!
-//! `cargo test` and `cargo nextest run` build the example; `cargo test --test frames` alone takes it as it was last built.
+//! `cargo test` and `cargo nextest run` build the example; `cargo test --test frames` alone takes it as it was last
+//! built.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
 use std::fs;
@@ -11,7 +12,7 @@ use base64::Engine as _;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-/// What one run printed, and the files that it left beside those that were there.
+/// The output of one run, and the files that it has added to the folder.
 struct Run {
     code: Option<i32>,
     stdout: String,
@@ -104,13 +105,13 @@ fn pixels(folder: &TempDir, name: &str) -> image::RgbaImage {
 
 #[test]
 fn without_arguments_a_picture_of_the_built_in_scene_is_written() {
-    // But for the size: the whole picture takes too long in a test.
+    // All defaults but the size: an image of the default size takes too long in a test.
     let folder = tempfile::tempdir().unwrap();
     let run = render(&folder, &["--size", "48x30"]);
     assert_eq!(run.code, Some(0), "{}", run.stderr);
     assert_eq!(run.stdout, "wrote out.png\n");
     assert_eq!(run.files, ["out.png"]);
-    // A machine without a GPU is told so, in one line.
+    // Without a GPU, the error is one line that says so.
     let told = run.stderr.lines().collect::<Vec<_>>();
     assert!(told.len() <= 1 && told.iter().all(|line| line.starts_with("rendering on the CPU: ")), "{}", run.stderr);
 

@@ -6,7 +6,7 @@ use ropewalk::gltf::{self, GltfFault, ImportOptions, ImportReport};
 use ropewalk::{Core, Error, Geometry, Material, NodeKey, Result, Scene};
 use serde_json::{Value, json};
 
-/// A glTF file in the making: its JSON, and the data of its buffer 0.
+/// A glTF file under construction: its JSON and the data of its buffer 0.
 pub(crate) struct Fixture {
     pub(crate) json: Value,
     pub(crate) bin: Vec<u8>,
@@ -20,7 +20,8 @@ pub(crate) const U16: u32 = 5123;
 pub(crate) const U32: u32 = 5125;
 pub(crate) const F32: u32 = 5126;
 
-/// A triangle whose corners tell the axes apart.
+/// A right triangle in the plane z = 0 whose legs along x and y have different lengths, so that axes cannot be
+/// confused.
 pub(crate) const TRIANGLE: [f32; 9] = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 2.0, 0.0];
 
 impl Fixture {
@@ -28,7 +29,7 @@ impl Fixture {
         Self { json: json!({"asset": {"version": "2.0"}}), bin: Vec::new() }
     }
 
-    /// A file that shows one mesh primitive with these members, which `attributes` may not be left out of.
+    /// A file that shows one mesh primitive with these JSON members, among them `attributes`.
     pub(crate) fn with_primitive(mut self, primitive: Value) -> Self {
         self.json["meshes"] = json!([{"primitives": [primitive]}]);
         self.json["nodes"] = json!([{"mesh": 0}]);
@@ -174,7 +175,7 @@ impl Imported {
         self.drawn(self.geometry_nodes(0)[0]).1
     }
 
-    /// What was not honoured, one line each.
+    /// The import's warnings, a line each.
     pub(crate) fn notes(&self) -> Vec<String> {
         self.report.warnings.iter().map(ToString::to_string).collect()
     }

@@ -1,4 +1,4 @@
-//! Files made to exhaust memory, time or the stack. Each would, were its numbers believed.
+//! Files made to exhaust memory, time or the stack: each would if its counts were taken on trust.
 
 use ropewalk::Error;
 use ropewalk::gltf::{AccessorFault, BufferFault, GltfFault};
@@ -31,7 +31,7 @@ fn sparse_accessors_without_a_base() {
         fixture.json["accessors"][0] = accessor.clone();
         fixture.error();
 
-        // Few indices into many vertices cost what the indices cost.
+        // The cost of few indices into many vertices depends on the number of indices.
         let indices = fixture.accessor(U32, "SCALAR", 3, &[0; 12]);
         fixture.json["meshes"][0]["primitives"][0]["indices"] = json!(indices);
         if count <= 1 << 28 {
@@ -103,7 +103,7 @@ fn a_long_chain_of_nodes() {
     assert_eq!(imported.report.counts.file_nodes, count);
 }
 
-/// Whatever a small file shows many times over is limited by its size, not by the product of its numbers.
+/// A small file that shows something many times is limited by its size, not by the product of its counts.
 #[test]
 fn small_files_that_multiply() {
     let primitive: Value = json!({"attributes": {"POSITION": 0}});
@@ -143,7 +143,7 @@ fn small_files_that_multiply() {
     fixture.json["meshes"] = json!([{ "primitives": primitives }]);
     fixture.json["nodes"] = json!([{"mesh": 0}]);
     assert!(fixture.exceeds_budget());
-    // Or their indices, in meshes that nothing shows.
+    // Index accessors that overlap, in meshes that no node shows.
     for accessor in fixture.json["accessors"].as_array_mut().unwrap() {
         *accessor = json!({"bufferView": view, "byteOffset": accessor["byteOffset"], "componentType": U8, "type": "SCALAR", "count": 1_000_000});
     }

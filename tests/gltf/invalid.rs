@@ -1,4 +1,4 @@
-//! Malformed files: the validator's own tests. Each gives an error or a valid scene, soon.
+//! Malformed files, from the tests of the glTF validator. Each import ends soon, with an error or a valid scene.
 
 use std::collections::HashSet;
 use std::time::{Duration, Instant};
@@ -7,7 +7,8 @@ use ropewalk::{Error, Scene, gltf};
 
 use ropewalk_testkit::corpus::{gltf_files, scenes};
 
-/// Of files that the validator calls wrong, those that must not be accepted, by its codes: the tree, and everything out of range.
+/// The validator's codes of those faults that an import must not accept: of the node hierarchy, and all that is out of
+/// range.
 const NEVER_ACCEPTED: &[&str] = &[
     "ACCESSOR_INDEX_OOB",
     "ACCESSOR_JOINTS_INDEX_OOB",

@@ -191,7 +191,7 @@ fn images_from_everywhere() {
     let percent: String = png.iter().map(|byte| format!("%{byte:02X}")).collect();
     for image in [
         json!({"bufferView": 2, "mimeType": "image/png"}),
-        // The file's own claim is wrong.
+        // The MIME type that the file gives is wrong.
         json!({"bufferView": 2, "mimeType": "image/jpeg"}),
         json!({"uri": format!("data:image/png;base64,{base64}")}),
         json!({"uri": format!("data:image/png,{percent}")}),

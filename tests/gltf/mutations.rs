@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 
 use super::fixture::*;
 
-/// A small file that has one of everything, so that mutations reach all code.
+/// A small file with every feature that is imported, so that mutations reach all code.
 fn everything() -> Fixture {
     let mut fixture = Fixture::new();
     let positions = fixture.floats("VEC3", &[TRIANGLE, TRIANGLE].concat());
@@ -63,7 +63,7 @@ fn everything() -> Fixture {
     fixture
 }
 
-/// Imports, and checks what must hold for any bytes. Whether it imported.
+/// Imports the bytes and checks what must hold whatever they are. Returns whether the import succeeded.
 fn import(bytes: &[u8]) -> bool {
     let mut scene = Scene::new();
     let (root, revision) = (scene.root(), scene.revision());
@@ -170,7 +170,7 @@ fn random_values_in_the_json() {
     run(6000, &mutations, |mutations| {
         let mut mutant = Fixture { json: fixture.json.clone(), bin: fixture.bin.clone() };
         for (place, value) in mutations {
-            // An earlier mutation may have taken the place away.
+            // An earlier mutation may have removed the value.
             if let Some(target) = mutant.json.pointer_mut(&place) {
                 *target = value;
             }
@@ -205,7 +205,7 @@ fn every_truncation() {
     }
 }
 
-/// The JSON pointers of everything in a value, but for itself.
+/// The JSON pointers of all values within a value, without itself.
 fn pointers(root: &Value) -> Vec<String> {
     let mut found = Vec::new();
     let mut pending = vec![(String::new(), root)];

@@ -191,7 +191,7 @@ fn the_product_of_a_light_s_color_and_intensity_is_finite() {
         assert_eq!(light.color, Vec3::from(color));
         let product = (light.color * light.intensity).max_element();
         assert!(product.is_finite(), "{light:?}");
-        // And as bright as numbers allow.
+        // A light of the greatest intensity that f32 can hold.
         assert!(product > f32::MAX * 0.999_999, "{light:?}");
         assert_eq!(imported.notes().len(), 1, "{:?}", imported.notes());
         assert!(imported.notes()[0].contains("intensity"), "{:?}", imported.notes());
@@ -216,7 +216,7 @@ fn one_scene_of_several() {
         let present: String = ["a", "b", "c"].into_iter().filter(|name| report.node(name).is_some()).collect();
         Ok::<_, Error>((report.scene, present))
     };
-    // Without scenes, everything.
+    // A file without scenes is imported with all its nodes.
     assert_eq!(imported(&fixture, None).unwrap(), (None, "abc".into()));
 
     fixture.json["scenes"] = json!([{"nodes": [0]}, {"nodes": [1, 2], "name": "second"}, {}]);

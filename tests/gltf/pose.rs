@@ -17,7 +17,7 @@ fn morph_targets_are_added_by_their_default_weights() {
     let primitive = json!({"attributes": {"POSITION": positions, "NORMAL": normals}, "targets": targets});
     let mut fixture = fixture.with_primitive(primitive);
 
-    // Without weights none applies.
+    // Without weights no morph target is applied.
     let imported = fixture.import();
     assert_eq!(imported.geometry().positions[0], Vec3::ZERO);
     assert!(imported.notes()[0].contains("morph targets: cannot be animated"));
@@ -127,7 +127,7 @@ fn a_skin_without_enough_matrices_or_joints_is_an_error() {
     fixture.json["skins"][0]["joints"] = json!([1]);
     let out_of_range = GltfFault::from(AccessorFault::JointOutOfRange { joint: 1, joint_count: 1 });
     assert_eq!(fixture.fault().1, out_of_range);
-    // Also where nothing shows the mesh.
+    // Also if no node shows the mesh.
     fixture.json["scenes"] = json!([{"nodes": []}]);
     assert_eq!(fixture.fault().1, out_of_range);
 }

@@ -1,5 +1,5 @@
-//! Real scenes read twice: by us, and by the reader of the crate `gltf`, which shares no code with our accessors, indices, poses and
-//! hierarchy. Every triangle must be in the same place.
+//! Real scenes read twice: by us, and by the reader of the crate `gltf`, which shares no code with our accessors,
+//! indices, poses and hierarchy. Every triangle must be in the same place.
 
 use std::path::{Path, PathBuf};
 
@@ -18,7 +18,7 @@ struct Corner {
     color: Option<Vec4>,
 }
 
-/// The file by the crate: its document, and the data of its buffers.
+/// The file as the crate `gltf` reads it: its document, and the data of its buffers.
 struct Reference {
     document: gltf::Document,
     buffers: Vec<Vec<u8>>,
@@ -154,7 +154,7 @@ fn compare(path: &Path) -> usize {
     let worlds = reference.worlds();
     let mut compared = 0;
     for node in reference.document.nodes() {
-        // What another scene shows is not imported; instances have a test of their own.
+        // Nodes of other scenes are not imported; instances have a test of their own.
         let (Some(mesh), Some(key)) = (node.mesh(), report.nodes[node.index()]) else { continue };
         let drawn: Vec<NodeKey> = scene
             .children(key)
@@ -214,7 +214,8 @@ fn place(palette: Option<&[DAffine3]>, joints: [u16; 4], weights: [f32; 4], worl
 
 fn check(found: &Corner, expected: &Corner, place: DAffine3, skinned: bool) -> Result<(), String> {
     let expected = Corner { position: place.transform_point3(expected.position), ..*expected };
-    // The crate's transforms are f32, and skinned positions are stored in f32: a few units in the last place of the largest number involved.
+    // The crate's transforms are f32, and skinned positions are stored in f32: a few units in the last place of the
+    // largest number involved.
     let scale = expected.position.abs().max_element().max(place.translation.abs().max_element());
     let tolerance = scale.max(place.matrix3.to_cols_array().iter().fold(0.0, |a, m| m.abs().max(a))) * 1e-5;
     if (found.position - expected.position).length() > tolerance {

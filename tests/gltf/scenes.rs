@@ -1,4 +1,4 @@
-//! The real scenes: node and triangle counts as their index gives them.
+//! The sample scenes: node and triangle counts are those that their index file gives.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -8,7 +8,7 @@ use ropewalk::{Error, Scene};
 
 use ropewalk_testkit::corpus::{gltf_files, scenes};
 
-/// What the index says of a file, or of every variant of a model.
+/// A row of the index: the counts of a file, or of all variants of a model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Row {
     unique: u64,

@@ -1,4 +1,4 @@
-//! Edits of the scene, one rule a test.
+//! Edits of the scene: each test checks one rule.
 #![expect(clippy::unwrap_used, reason = "helpers of tests")]
 
 use std::f32::consts::PI;
@@ -20,7 +20,7 @@ fn triangle(scene: &mut Scene) -> Core {
     Core::Geometry { geometry, material: scene.add_material(Material::default()).unwrap() }
 }
 
-/// A call that fails leaves no trace.
+/// Checks that a call fails and leaves the scene as it was.
 fn assert_fails<T: std::fmt::Debug>(
     scene: &mut Scene,
     call: impl FnOnce(&mut Scene) -> ropewalk::Result<T>,
@@ -101,7 +101,7 @@ fn no_world_can_be_kept_below_a_singular_one() {
     let turned = scene.add(scene.root(), Transform::from_rotation(turn(1.0))).unwrap();
     let flat = scene.add(turned, Transform::from_scale(DVec3::new(1.0, 0.0, 1.0))).unwrap();
     let mut parents = vec![flat];
-    // Rotations on both sides hide the zero: the determinant of some is a rounding error.
+    // Singular matrices between rotations: the determinant of some is a rounding error instead of 0.
     for angle in 1..20 {
         parents.push(scene.add(flat, Transform::from_rotation(turn(f64::from(angle)))).unwrap());
     }
@@ -259,7 +259,7 @@ fn bad_lights_cameras_transforms_and_textures_are_refused() {
         orthographic(1.0, f32::INFINITY),
         Core::Camera(Camera::default().with_lens_shift(Vec2::new(0.0, f32::NAN))),
         Core::Transform(Transform::from_scale(DVec3::new(1.0, f64::NAN, 1.0))),
-        // Each number is finite, their product is not.
+        // Each factor is finite, but their product is not.
         Core::Transform(Transform::Trs { translation: X, rotation: DQuat::from_xyzw(1e200, 0.0, 0.0, 0.0), scale: X }),
     ];
     let mut scene = Scene::new();

@@ -1,4 +1,4 @@
-//! Visiting and finding nodes, against recursion on small trees and against depth on a deep one.
+//! Visiting and finding nodes: compared with recursion on small trees, and without overflowing the stack on a deep one.
 
 #![expect(clippy::unwrap_used, reason = "a panic in a test is a failure")]
 
@@ -9,7 +9,7 @@ use glam::Vec3;
 use proptest::prelude::*;
 use ropewalk::{Core, Descend, Error, Geometry, Material, NodeKey, Scene, Transform, Visitor};
 
-/// Writes down what it is called with; passes the nodes of one name by, breaks off after some calls.
+/// Records the calls of a visitor; skips the subtrees of nodes of one name, and breaks off after some calls.
 struct Recorder<'a> {
     scene: &'a Scene,
     calls: Vec<(bool, NodeKey)>,
@@ -36,7 +36,7 @@ impl Visitor for &mut Recorder<'_> {
     }
 }
 
-/// What a recorder that never breaks off must see.
+/// The calls that a recorder that never breaks off must record.
 fn expected(scene: &Scene, node: NodeKey, calls: &mut Vec<(bool, NodeKey)>) {
     calls.push((true, node));
     if scene.name(node).unwrap() != "a" {

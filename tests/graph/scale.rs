@@ -25,7 +25,7 @@ fn a_chain_of_100_000_transforms() {
     assert_eq!(scene.hierarchy().unwrap().resolved()[DEPTH].world_from_local.translation, STEP * (DEPTH + 1) as f64);
     assert!(matches!(scene.reparent(top, leaf, KeepTransform::Local), Err(Error::Cycle { .. })));
 
-    // The lower half moves up, then the upper half goes.
+    // The lower half is reparented to the root, then the upper half is removed.
     scene.reparent(middle, scene.root(), KeepTransform::World).unwrap();
     assert_eq!(scene.world_from_local(leaf).unwrap().translation, STEP * (DEPTH + 1) as f64);
     scene.remove(top).unwrap();
@@ -46,7 +46,7 @@ fn a_parent_of_1_000_000_children() {
     assert!(scene.children(scene.root()).unwrap().eq(children.iter().copied()));
     assert_eq!(scene.hierarchy().unwrap().resolved().len(), WIDTH + 1);
 
-    // They share one core: all move.
+    // All share one core, so all move.
     scene.set_local(children[WIDTH / 2], Transform::from_translation(STEP * 3.0)).unwrap();
     assert!(
         scene.hierarchy().unwrap().resolved()[1..]
@@ -55,7 +55,7 @@ fn a_parent_of_1_000_000_children() {
     );
     scene.validate().unwrap();
 
-    // In the middle of both lists: of siblings, and of users of the core.
+    // A node in the middle of both lists, that of siblings and that of the core's users.
     for &child in children.iter().skip(1).step_by(2) {
         scene.remove(child).unwrap();
     }
@@ -71,7 +71,8 @@ fn a_parent_of_1_000_000_children() {
     assert_eq!((scene.node_count(), scene.core_count()), (1, 1));
 }
 
-/// Enough to be computed by several threads: scattered moves, whole branches, what is grafted onto grafts.
+/// Hierarchies large enough for several threads: scattered moves, moves of whole branches, nodes added below newly
+/// added nodes.
 #[test]
 fn scattered_edits_of_30_000_nodes() {
     let mut state = 1u32;
@@ -85,7 +86,7 @@ fn scattered_edits_of_30_000_nodes() {
         nodes.push(scene.add(nodes[parent], Transform::from_translation(STEP)).unwrap());
     };
     for count in 1..30_000 {
-        // Bushes on a few branches.
+        // Many small subtrees below a few branches.
         let parent = if random(3) == 0 { random(count) } else { count - 1 - random(count.min(20)) };
         add(&mut scene, &mut nodes, parent);
     }
@@ -100,7 +101,7 @@ fn scattered_edits_of_30_000_nodes() {
                 scene.set_local(nodes[node], Transform::from_translation(translation)).unwrap();
             }
         }
-        // Onto what was there, and onto what has just come; some of it in a later update than its parent.
+        // New nodes below old nodes and below new ones, some of them in a later update than their parent.
         for _ in 0..100 {
             let parent = if random(2) == 0 { nodes.len() - 1 } else { random(nodes.len()) };
             add(&mut scene, &mut nodes, parent);

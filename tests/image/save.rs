@@ -1,4 +1,4 @@
-//! Image files: read back by the decoders of the crates `image` and `exr`, and what is left when writing fails.
+//! Image files: their content as the crates `image` and `exr` decode it, and what remains of a file when writing fails.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
 use std::fs;
@@ -10,7 +10,7 @@ use ropewalk::graph::NodeKey;
 use ropewalk::image::{Aovs, Image};
 use slotmap::{Key as _, KeyData};
 
-/// 3 by 2 pixels, none like another.
+/// An image of 3 by 2 different pixels.
 fn gradient() -> Image {
     let color = (0..6).map(|i| [i as f32 * 0.1, 0.5, 3.0 - i as f32 * 0.7, 1.0]).collect();
     Image::new(3, 2, color)

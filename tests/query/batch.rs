@@ -1,4 +1,4 @@
-//! Batches of rays on every device against exact queries one by one.
+//! Batches of rays on every executor, compared with exact queries of single rays.
 
 use glam::DVec3;
 use ropewalk::render::RayMask;
@@ -90,7 +90,8 @@ fn every_device_hits_what_exact_queries_hit() {
                 }
                 println!("{device} at {center}, {size}: {differ} of {compared} differ");
                 assert!(compared > RAYS / 10, "{device}: {compared} hits");
-                // Where a ray passes an edge, or starts or ends at a surface, within f32's rounding.
+                // The answers may differ where a ray passes an edge, or starts or ends at a surface, within the
+                // rounding of f32.
                 assert!(differ * 200 < RAYS, "{device} at {center}, {size}: {differ} of {RAYS} differ");
             }
         }
@@ -105,7 +106,7 @@ fn any_hits_are_what_stops_light() {
         let device = renderer.device_info().executor;
         let found = renderer.any_hits(&mut scene, &rays, RayMask::ALL).unwrap();
         let queries = renderer.queries(&mut scene).unwrap();
-        // Everything is opaque and both-sided: the same question.
+        // Everything is opaque and two-sided, so both queries must give the same answer.
         let expected: Vec<bool> = rays.iter().map(|ray| queries.any_hit(ray).unwrap()).collect();
         assert_eq!(found.len(), expected.len());
         let stopped = expected.iter().filter(|&&any| any).count();
@@ -140,7 +141,7 @@ fn batches_follow_the_scene_and_refuse_what_is_no_ray() {
             let error = renderer.closest_hits(&mut scene, &[ray, bad], RayMask(1)).unwrap_err();
             assert!(matches!(error, Error::OutOfRange { .. }), "{error}");
         }
-        // As far away as numbers go: no harm.
+        // Extreme coordinates, directions and intervals cause no error, and no hit away from the geometry.
         let wild = [
             Ray::new(DVec3::MAX, DVec3::MIN),
             Ray::new(DVec3::MIN, DVec3::splat(1e-320)),

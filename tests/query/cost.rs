@@ -1,4 +1,4 @@
-//! What queries cost, in nodes visited: never a loop over all triangles.
+//! The cost of queries in visited nodes: it grows far more slowly than the number of triangles.
 
 use glam::DVec3;
 use ropewalk::compile::Compiler;
@@ -7,7 +7,7 @@ use ropewalk::{Bounds, Camera, Core, Geometry, Material, Queries, Ray, Region, S
 
 use ropewalk_testkit::{Mesh, Random};
 
-/// A field of balls, `side` by `side` by `side`, of radius 1 and 4 apart.
+/// A lattice of `side` * `side` * `side` balls of radius 1, with centres 4 apart.
 fn field(side: i32, subdivisions: u32) -> Scene {
     let mut scene = Scene::new();
     let mesh = Mesh::displaced_icosphere(subdivisions);
@@ -22,7 +22,7 @@ fn field(side: i32, subdivisions: u32) -> Scene {
     scene
 }
 
-/// Nodes that 200 queries of one kind visit, on average each.
+/// The average number of nodes that a query of one kind visits, of 200 queries.
 fn cost(queries: &Queries<'_>, mut query: impl FnMut(&Queries<'_>, &mut Random)) -> u64 {
     const COUNT: u64 = 200;
     let (before, mut random) = (queries.visited_nodes(), Random::new(1));
@@ -82,7 +82,7 @@ fn queries_visit_few_nodes_of_many_triangles() {
 fn cost_grows_far_slower_than_the_scene() {
     let [mut small, mut large] = [field(4, 3), field(8, 5)];
     for ((what, few), (_, many)) in costs(&mut small).into_iter().zip(costs(&mut large)) {
-        // 128 times the triangles.
+        // The second scene has 128 times as many triangles.
         assert!(many < few * 8, "{what}: {few} nodes, then {many}");
     }
 }

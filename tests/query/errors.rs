@@ -1,4 +1,4 @@
-//! What cannot be asked.
+//! Invalid arguments of queries.
 
 use glam::{DAffine3, DMat3, DVec3};
 use ropewalk::compile::Compiler;

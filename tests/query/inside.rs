@@ -1,4 +1,4 @@
-//! By point: boxes around it and solids around it.
+//! Point queries: the boxes and the solids that contain a point.
 
 use std::cell::Cell;
 
@@ -25,7 +25,7 @@ fn boxes_contain_what_is_in_them() {
             prop_assert!(found.iter().all(|path| drawn.iter().any(|drawn| drawn.path == *path)));
             for drawn in drawn.iter().filter(|drawn| !drawn.triangles.is_empty()) {
                 let is_found = found.contains(&drawn.path);
-                // Between the box around the triangles, and the box around their box, rounded up.
+                // The tested box lies between the box of the transformed triangles and that of their transformed box.
                 let corners: Vec<DVec3> = (0..drawn.triangles.len()).flat_map(|i| drawn.world_triangle(i)).collect();
                 let tight = bounds(&corners);
                 let local: Vec<DVec3> = drawn.triangles.iter().flat_map(|(_, corners)| *corners).collect();
@@ -54,7 +54,7 @@ fn contains(bounds: &Bounds, point: DVec3, margin: f64) -> bool {
     (bounds.min - margin).cmple(point).all() && (bounds.max + margin).cmpge(point).all()
 }
 
-/// Inside a convex body is behind all of its faces, however it is mirrored.
+/// A point is inside a convex body if it is behind all of its faces, also if the body is mirrored.
 #[test]
 fn solids_enclose_what_is_in_them() {
     let [inside, outside] = [Cell::new(0), Cell::new(0)];
@@ -91,7 +91,7 @@ fn solids_enclose_what_is_in_them() {
     assert!(inside.get() > 1000 && outside.get() > 1000, "{} and {}", inside.get(), outside.get());
 }
 
-/// Points in a lattice, so that the way out runs through edges and corners, if any way does.
+/// Points of a lattice, so that the rays of the inside test run through edges and corners.
 #[test]
 fn a_lattice_of_points_is_told_apart() {
     let mut scene = Scene::new();

@@ -1,4 +1,4 @@
-//! The nearest point, against every triangle by the method of C. Ericson.
+//! The nearest point, compared with the nearest of all triangles by the method of C. Ericson.
 
 use std::cell::Cell;
 
@@ -8,7 +8,7 @@ use ropewalk::Queries;
 
 use super::scenes::{World, check, compiled, drawn};
 
-/// How far a triangle is (C. Ericson, *Real-Time Collision Detection*, 5.1.5).
+/// The distance of a point from a triangle (C. Ericson, *Real-Time Collision Detection*, 5.1.5).
 pub fn distance([a, b, c]: [DVec3; 3], point: DVec3) -> f64 {
     let (ab, ac) = (b - a, c - a);
     let along = |from: DVec3| ((point - from).dot(ab), (point - from).dot(ac));
@@ -64,7 +64,7 @@ fn nearest_points_agree_with_brute_force() {
             let above = hit.geometric_normal.dot(point - hit.position);
             prop_assert!(above.abs() <= 1e-3 * least + band || hit.back_face == (above < 0.0), "{above} above");
 
-            // The limit is the greatest distance that counts.
+            // A point at exactly the greatest distance is found.
             prop_assert_eq!(queries.nearest(point, hit.distance).unwrap(), Some(hit.clone()));
             if least > band {
                 prop_assert_eq!(queries.nearest(point, least * 1.01).unwrap(), Some(hit.clone()));

@@ -1,4 +1,5 @@
-//! The truth about rays: every triangle by the method of T. Möller and B. Trumbore, with how far f64 may be off.
+//! Ray queries by brute force: every triangle by the test of T. Möller and B. Trumbore, with bounds of its rounding
+//! error in f64.
 
 use glam::DVec3;
 use ropewalk::graph::AlphaMode;
@@ -6,18 +7,18 @@ use ropewalk::{NodePath, Ray};
 
 use super::scenes::Drawn;
 
-/// A triangle that a ray meets, or may meet.
+/// A triangle that a ray hits, or may hit within rounding.
 #[derive(Clone, Debug)]
 pub struct Candidate {
     pub path: NodePath,
     pub triangle: u32,
     pub t: f64,
     pub t_error: f64,
-    /// Whether it is met whatever is rounded.
+    /// Whether it is hit however its test is rounded.
     pub is_sure: bool,
 }
 
-/// All that the ray meets or may meet, as a camera ray would.
+/// All triangles that the ray hits or may hit, under the rules for camera rays.
 pub fn candidates(drawn: &[Drawn], origin: DVec3, ray: &Ray) -> Vec<Candidate> {
     let mut found = Vec::new();
     for drawn in drawn {
@@ -45,20 +46,21 @@ pub fn candidates(drawn: &[Drawn], origin: DVec3, ray: &Ray) -> Vec<Candidate> {
     found
 }
 
-/// Where the line meets the triangle, how far that may be off, and whether it surely does; `None` for a sure miss.
+/// The distance along the line to the triangle, the bound of its error, and whether the hit is certain; `None` for a
+/// certain miss.
 fn meet(from: DVec3, direction: DVec3, [a, b, c]: [DVec3; 3]) -> Option<(f64, f64, bool)> {
     let (ab, ac, to) = (b - a, c - a, from - a);
     let p = direction.cross(ac);
     let q = to.cross(ab);
     let determinant = ab.dot(p);
     let (u, v, t) = (to.dot(p) / determinant, direction.dot(q) / determinant, ac.dot(q) / determinant);
-    // Corners relative to the origin are rounded, then multiplied with two lengths.
+    // Corners relative to the ray's origin are rounded, then multiplied by two lengths.
     let size = ab.length().max(ac.length()).max((c - b).length());
     let rounding = 64.0 * f64::EPSILON * (to.length() + size);
     let error = rounding * direction.length() * size / determinant.abs();
     let least = u.min(v).min(1.0 - u - v);
     if !(least.is_finite() && t.is_finite() && error.is_finite() && error < 0.1) {
-        // Seen edge on: nothing is known of it but that it is somewhere along its corners.
+        // A triangle seen edge on: all that is known of the distance is that it lies between those of the corners.
         let along = [a, b, c].map(|corner| (corner - from).dot(direction) / direction.length_squared());
         let (first, last) = (along[0].min(along[1]).min(along[2]), along[0].max(along[1]).max(along[2]));
         return Some(((first + last) / 2.0, last - first + rounding / direction.length(), false));

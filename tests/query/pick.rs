@@ -1,4 +1,4 @@
-//! Picking: what a frame shows at a pixel.
+//! Picking: the node and the point that a frame shows at a pixel.
 
 use std::collections::BTreeSet;
 
@@ -12,10 +12,10 @@ use ropewalk::{
 
 use ropewalk_testkit::{Mesh, Random};
 
-/// Balls and soups of all kinds of material, masked and not, around a point.
+/// Balls and triangle soups of all kinds of material, with and without alpha masks, around a point.
 fn scene(center: DVec3) -> Scene {
     let mut scene = Scene::new();
-    let mut random = Random::new(3);
+    let mut random = Random::new(2);
     let solid = Material { double_sided: false, ..Material::default() };
     let glass = Vec4::new(1.0, 1.0, 1.0, 0.4);
     let materials = [
@@ -51,7 +51,7 @@ fn views(center: DVec3) -> [View; 2] {
     })
 }
 
-/// Every pixel of a frame is what is picked there.
+/// Checks that picking at every pixel of a frame finds what the frame shows there.
 fn check(renderer: &mut Renderer, center: DVec3) {
     let mut scene = scene(center);
     for view in views(center) {
@@ -106,13 +106,13 @@ fn queries_far_from_the_origin_are_as_good() {
     let mut renderer = renderer(DeviceChoice::Cpu);
     let [mut near, mut far] = [DVec3::ZERO, center].map(scene);
     let [near_hit, far_hit] = [(&mut near, DVec3::ZERO), (&mut far, center)].map(|(scene, center)| {
-        // Nothing was drawn: the render origin must find the scene by itself.
+        // Nothing was rendered yet, so picking must choose the render origin.
         let queries = renderer.queries(scene).unwrap();
         let hit = queries.nearest(center + DVec3::new(0.5, 9.0, 0.25), f64::INFINITY).unwrap().unwrap();
         (hit.triangle, hit.position - center, hit.distance)
     });
     assert_eq!(near_hit.0, far_hit.0);
-    // f64 holds 1e7 to 2e-9, f32 the scene's radius to 6e-7.
+    // Near 1e7, f64 has a precision of 2e-9; f32 has one of 6e-7 at the scene's radius.
     assert!(near_hit.1.distance(far_hit.1) < 1e-6 && (near_hit.2 - far_hit.2).abs() < 1e-6);
 }
 
@@ -131,8 +131,7 @@ fn picking_catches_up_with_the_scene() {
     assert!(removed.len() > 3, "{removed:?}");
 }
 
-/// Levels of detail by the size that the view gives them, and billboards: what the view draws is what is picked, and what is
-/// asked after that.
+/// Levels of detail by projected size, and billboards: picking and later queries see the scene as the view does.
 #[test]
 fn queries_see_the_levels_that_were_drawn() {
     let mut scene = Scene::new();
@@ -155,7 +154,7 @@ fn queries_see_the_levels_that_were_drawn() {
     }
 }
 
-/// What is seen through some pixels lies in their frustum; all that lies in there is found.
+/// The nodes seen through some pixels are among those that a query of the pixels' frustum finds.
 #[test]
 fn a_rubber_band_selects_what_is_seen_through_it() {
     let mut scene = scene(DVec3::ZERO);
@@ -212,7 +211,7 @@ fn a_slot_names_the_node_that_has_it_after_edits() {
         }
         check_cubes(&renderer.queries(&mut scene).unwrap(), &cubes);
     }
-    // Down to the last one, through leaves that stay behind unused.
+    // Nodes are removed until one is left, so that queries pass unused leaves.
     while let Some((_, place, _)) = cubes.pop() {
         scene.remove(place).unwrap();
         check_cubes(&renderer.queries(&mut scene).unwrap(), &cubes);

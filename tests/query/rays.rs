@@ -1,4 +1,4 @@
-//! By ray: closest, any, all.
+//! Ray queries: the closest hit, any hit, all hits.
 
 use std::cell::Cell;
 
@@ -12,7 +12,7 @@ use super::oracle::{Candidate, candidates};
 use super::scenes::{Dice, Drawn, World, check, compiled, drawn};
 use ropewalk_testkit::Mesh;
 
-/// From somewhere to a point of some triangle, or just anywhere; directions of all lengths.
+/// A ray from a random point, at a point of some triangle or in a random direction; directions have all lengths.
 fn ray(dice: &mut Dice, drawn: &[Drawn], origin: DVec3) -> Ray {
     let from = dice.point();
     let mut to = dice.point();
@@ -36,7 +36,7 @@ fn is_of(hit: &Hit, candidate: &Candidate) -> bool {
     (&candidate.path, candidate.triangle) == (&hit.path, hit.triangle)
 }
 
-/// What is wrong with a hit, whichever hit it is.
+/// Checks a hit's node, position, distance and normal against the triangle that it names.
 fn check_hit(hit: &Hit, ray: &Ray, drawn: &[Drawn], truth: &[Candidate], origin: DVec3) -> Result<(), TestCaseError> {
     let own = truth.iter().find(|candidate| is_of(hit, candidate));
     prop_assert!(own.is_some(), "{hit:?} is surely missed");
@@ -55,7 +55,7 @@ fn check_hit(hit: &Hit, ray: &Ray, drawn: &[Drawn], truth: &[Candidate], origin:
     prop_assert!(position.distance(hit.position) <= 1e-13 * size, "{} is not {position}", hit.position);
     if own.is_sure {
         let on_ray = ray.origin + ray.direction * hit.distance;
-        // A matrix and its inverse cancel but for their rounding.
+        // The product of a matrix and its inverse is the identity within rounding.
         let error = own.t_error * ray.direction.length() + 1e-15 * of.condition() * (size + ray.origin.length());
         prop_assert!(on_ray.distance(hit.position) <= error, "{on_ray} is not {} by {error}", hit.position);
     }
@@ -95,7 +95,7 @@ fn rays_agree_with_brute_force() {
             prop_assert_eq!(closest.as_ref(), all.first());
             prop_assert_eq!(queries.any_hit(&ray).unwrap(), closest.is_some());
             hits.set(hits.get() + all.len());
-            // What rounds to almost flat has nothing but ties.
+            // For instances that are flattened almost to a plane, rounding decides every hit.
             let flat = |path: &NodePath| drawn.iter().any(|drawn| drawn.path == *path && drawn.condition() > 1e7);
             ties.set(ties.get() + truth.iter().filter(|tie| !tie.is_sure && !flat(&tie.path)).count());
         }
@@ -105,7 +105,8 @@ fn rays_agree_with_brute_force() {
     assert!(hits.get() > 5_000 && ties.get() * 8 < hits.get(), "{} hits, {} ties", hits.get(), ties.get());
 }
 
-/// However it runs through edges and corners, a ray from outside enters a convex surface as often as it leaves.
+/// A ray from outside enters a closed convex surface as often as it leaves it, also if it runs through edges and
+/// corners.
 #[test]
 fn a_convex_surface_is_crossed_twice_or_not_at_all() {
     let [missed, crossed] = [Cell::new(0), Cell::new(0)];
@@ -147,7 +148,7 @@ fn square_geometry() -> Geometry {
 #[test]
 fn holes_and_back_faces_are_passed_by_as_a_camera_does() {
     let mut scene = Scene::new();
-    // Solid where x is above a half.
+    // A texture that is opaque where x is above a half.
     let alpha = [0.0, 1.0, 1.0, 0.0].map(|alpha| Vec4::new(1.0, 1.0, 1.0, alpha));
     let material = Material { alpha_mode: AlphaMode::Mask { cutoff: 0.5 }, double_sided: false, ..Material::default() };
     square(&mut scene, Geometry { colors: Some(alpha.into()), ..square_geometry() }, material);
@@ -158,7 +159,7 @@ fn holes_and_back_faces_are_passed_by_as_a_camera_does() {
         assert_eq!(queries.all_hits(&ray).unwrap().len(), expected, "{x}, {z}");
         assert_eq!(queries.any_hit(&ray).unwrap(), expected > 0);
     }
-    // Regions and points see the geometry.
+    // Queries of regions and points ignore alpha.
     assert_eq!(queries.nearest(DVec3::new(0.1, 0.5, -2.0), 3.0).unwrap().unwrap().distance, 2.0);
 }
 
@@ -179,7 +180,7 @@ fn shading_normals_lie_between_those_of_the_vertices() {
     }
 }
 
-/// Two squares at the same place: the order is that of `closest`, whichever was built first.
+/// Two squares at the same place: all hits are in the order in which `closest` prefers them, whichever was built first.
 #[test]
 fn equal_distances_are_ordered() {
     let mut scene = Scene::new();
@@ -189,7 +190,7 @@ fn equal_distances_are_ordered() {
     let mut compiler = Compiler::new();
     let queries = Queries::new(&mut compiler, &mut scene).unwrap();
     let nodes: Vec<_> = queries.scene().children(queries.scene().root()).unwrap().collect();
-    // Along the diagonal, which both triangles of a square share.
+    // A ray at the diagonal, which both triangles of a square share.
     let all = queries.all_hits(&Ray::new(DVec3::new(0.5, 0.5, 1.0), DVec3::NEG_Z)).unwrap();
     assert_eq!(all.iter().map(|hit| hit.path.node).collect::<Vec<_>>(), nodes);
 }

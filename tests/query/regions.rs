@@ -1,4 +1,4 @@
-//! By region: boxes and frustums, against separating axes.
+//! Region queries: boxes and frustums, compared with separating axis tests.
 
 use std::cell::Cell;
 use std::collections::HashSet;
@@ -11,7 +11,8 @@ use ropewalk::{Bounds, Camera, NodePath, Queries, Region, View};
 use super::scenes::{Dice, Seed, World, check, compiled, drawn};
 use ropewalk_testkit::Random;
 
-/// A convex body with its corners, the directions of its edges and the normals of its faces. Relative to the render origin.
+/// A convex body with its corners, the directions of its edges and the normals of its faces. Relative to the render
+/// origin.
 struct Body {
     corners: Vec<DVec3>,
     edges: Vec<DVec3>,
@@ -33,12 +34,13 @@ impl Body {
         Self { corners: [near, far].concat(), edges: edges.collect(), normals: normals.collect() }
     }
 
-    /// How far the triangle is from the body along the axis that separates them best; below zero where none does.
+    /// The distance between triangle and body along the axis on which it is greatest; negative if no axis separates
+    /// them.
     fn separation(&self, [a, b, c]: [DVec3; 3]) -> f64 {
         let sides = [b - a, c - b, a - c];
         let pairs =
             sides.iter().flat_map(|side| self.edges.iter().map(|edge| side.normalize().cross(edge.normalize())));
-        // A flat triangle is separated in its own plane, too.
+        // Axes in the triangle's own plane separate it, too.
         let normal = sides[0].normalize().cross(sides[1].normalize());
         let in_plane = sides.iter().map(|side| side.normalize().cross(normal));
         let axes = self.normals.iter().copied().chain([normal]).chain(in_plane).chain(pairs);
@@ -57,7 +59,7 @@ impl Body {
     }
 }
 
-/// As a set; each must be there once.
+/// The result as a set, after a check that nothing occurs twice.
 fn set(paths: Vec<NodePath>) -> HashSet<NodePath> {
     let count = paths.len();
     let set: HashSet<NodePath> = paths.into_iter().collect();
@@ -65,7 +67,7 @@ fn set(paths: Vec<NodePath>) -> HashSet<NodePath> {
     set
 }
 
-/// A box, or a view and some of its pixels; the region, and the body that it should be.
+/// A random region, which is a box or the frustum of some pixels of a view, and the same as a convex body.
 fn region(dice: &mut Dice, origin: DVec3) -> (Region, Body) {
     let (a, b) = (dice.point(), dice.point());
     if dice.random.index(2) == 0 {
@@ -83,7 +85,8 @@ fn region(dice: &mut Dice, origin: DVec3) -> (Region, Body) {
     let [columns, rows] = [pixels(random, 40), pixels(random, 30)];
     let region = view.pixel_frustum(columns.clone(), rows.clone()).unwrap();
 
-    // The corners as the documentation of the camera has it: the whole field at distance 1, then the part of it.
+    // The corners follow the documentation of the camera: the whole field of view at distance 1, then the part of the
+    // pixels.
     let axes = view.world_from_view.matrix3;
     let (half_height, is_perspective) = match camera {
         Camera::Perspective { y_fov, .. } => (f64::from(y_fov / 2.0).tan(), true),
@@ -136,10 +139,11 @@ fn regions_agree_with_separating_axes() {
                 let triangles: Vec<[DVec3; 3]> = (0..drawn.triangles.len()).map(|i| drawn.world_triangle(i)).collect();
                 let separations = triangles.iter().map(|&triangle| body.separation(triangle));
                 let least = separations.fold(f64::MAX, f64::min);
-                // How far the farthest corner is out: a corner is a triangle, too.
+                // A triangle is within the region if its farthest corner is.
                 let corners = triangles.iter().flatten();
                 let out = corners.map(|&p| outside(&region, p + origin)).fold(f64::MIN, f64::max);
-                // The frustum's body ends at 1000 units, the frustum does not; instances of instances can be farther out.
+                // The frustum's body ends at 1000 units, the frustum does not; instances of instances can be farther
+                // out.
                 let is_far = triangles.iter().flatten().any(|p| p.length() > 500.0 * seed.unit);
                 if is_far || least.abs() < band || out.abs() < band {
                     add(&ties);
@@ -160,7 +164,7 @@ fn regions_agree_with_separating_axes() {
     assert!(counts[..3].iter().all(|&count| count > 50) && counts[3] * 20 < counts[0], "{counts:?}");
 }
 
-/// How far a point is out of a region, below zero if it is in: by the planes, which the body does not share.
+/// The distance of a point from a region, negative inside: by the region's planes, which the body is not made from.
 fn outside(region: &Region, point: DVec3) -> f64 {
     let heights = region.half_spaces().iter().map(|half| (half.normal.dot(point) - half.offset) / half.normal.length());
     heights.fold(f64::MIN, f64::max)
@@ -186,7 +190,7 @@ fn any_planes_make_a_region() {
             let distances =
                 (0..drawn.triangles.len()).map(|i| super::nearest::distance(drawn.world_triangle(i), center - origin));
             let distance = distances.fold(f64::INFINITY, f64::min);
-            // The planes are tangents of the ball: they reach a little beyond it.
+            // The planes are tangent to the ball, so the region is a little larger.
             assert!(distance > radius || touching.contains(&drawn.path));
             assert!(distance < radius * 1.5 || !touching.contains(&drawn.path));
         }

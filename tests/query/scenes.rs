@@ -1,4 +1,5 @@
-//! Random scenes: soups, closed and flat geometry under transforms of all kinds, some hidden, some masked, some singular.
+//! Random scenes: soups, closed and flat geometry under transforms of all kinds, some hidden, some masked, some
+//! singular.
 
 use glam::{DAffine3, DMat3, DQuat, DVec3, Vec4};
 use proptest::prelude::*;
@@ -11,14 +12,14 @@ use ropewalk::{
 
 use ropewalk_testkit::{Mesh, Random};
 
-/// What a random scene grows from.
+/// The parameters of a random scene.
 #[derive(Clone, Copy, Debug)]
 pub struct Seed {
     pub seed: u64,
     pub instances: usize,
     /// The unit of length.
     pub unit: f64,
-    /// Where the scene lies, in those units.
+    /// The position of the scene, in those units.
     pub offset: f64,
 }
 
@@ -39,17 +40,17 @@ fn seed() -> impl Strategy<Value = Seed> {
     })
 }
 
-/// Some have a triangle in several leaves.
+/// All kinds of structures; some have a triangle in several leaves.
 const STRUCTURES: [BlasKind; 4] =
     [BlasKind::Bvh(Quality::Low), BlasKind::Bvh(Quality::Medium), BlasKind::Bvh(Quality::High), BlasKind::KdTree];
 
-/// A scene, and what to ask it with.
+/// A scene, and the random numbers for queries of it.
 pub struct World {
     pub scene: Scene,
     pub dice: Dice,
 }
 
-/// Random numbers to go on with.
+/// Random numbers for queries of a scene.
 pub struct Dice {
     pub random: Random,
     pub center: DVec3,
@@ -90,7 +91,7 @@ impl World {
             let parent = if random.index(2) == 0 { place } else { inner };
             let (geometry, material) = (geometries[random.index(4)], materials[random.index(4)]);
             scene.add(parent, Core::Geometry { geometry, material }).unwrap();
-            // Some are seen again elsewhere, with all that is below them.
+            // Some subtrees are also shown elsewhere, by an instance.
             if random.index(3) == 0 {
                 let again = scene.add(scene.root(), transform(&mut random, DVec3::ZERO, 1.0, seed.unit)).unwrap();
                 scene.add(again, Core::Instance(place)).unwrap();
@@ -124,7 +125,7 @@ impl Dice {
         self.center + self.random.in_cube().as_dvec3() * reach * self.unit
     }
 
-    /// What queries look for: two of the three masks there are, or one.
+    /// The mask of a query: one or two of the three masks in use.
     pub fn mask(&mut self) -> u32 {
         1 << self.random.index(3) | 1
     }
@@ -138,8 +139,8 @@ pub fn compiled(scene: &mut Scene) -> (Compiler, DVec3) {
     (compiler, origin)
 }
 
-/// Rotated, mirrored, sheared, flattened to almost or exactly nothing, scaled by about `unit`; within some `reach` of the
-/// center.
+/// A random transform: rotated, mirrored, sheared, or flattened to almost or exactly nothing, scaled by about `unit`,
+/// at about `reach` from the center.
 fn transform(random: &mut Random, center: DVec3, unit: f64, reach: f64) -> Transform {
     let rotation = DQuat::from_axis_angle(random.direction().as_dvec3(), f64::from(random.signed()) * 3.0);
     let mut scale = DVec3::ONE + random.in_cube().as_dvec3() * 0.7;
@@ -150,7 +151,7 @@ fn transform(random: &mut Random, center: DVec3, unit: f64, reach: f64) -> Trans
         2 => scale *= 0.02,
         3 => scale.y *= 1e-3,
         4 => scale *= 4.0,
-        // Exactly singular: rotated, its determinant would round to something.
+        // Exactly singular: with a rotation, rounding would make its determinant nonzero.
         5 if random.index(3) == 0 => {
             scale.z = 0.0;
             linear = DMat3::IDENTITY;
@@ -167,7 +168,7 @@ pub struct Drawn {
     pub path: NodePath,
     pub geometry: GeometryKey,
     pub material: MaterialKey,
-    /// What the material is.
+    /// Properties of the material.
     pub surface: Material,
     pub local_from_world: DAffine3,
     pub world_from_local: DAffine3,
@@ -176,7 +177,7 @@ pub struct Drawn {
 }
 
 impl Drawn {
-    /// By how much the matrix and its inverse may enlarge rounding; 3 for a rotation.
+    /// The factor by which the matrix and its inverse may enlarge rounding errors; 3 for a rotation.
     pub fn condition(&self) -> f64 {
         let norm = |matrix: DMat3| matrix.to_cols_array().iter().map(|x| x * x).sum::<f64>().sqrt();
         norm(self.world_from_local.matrix3) * norm(self.local_from_world.matrix3)
@@ -187,7 +188,7 @@ impl Drawn {
     }
 }
 
-/// All that queries with this mask may find.
+/// All triangles that queries with this mask may find.
 pub fn drawn(scene: &mut Scene, origin: DVec3, mask: u32) -> Vec<Drawn> {
     let (scene, hierarchy) = scene.with_hierarchy().unwrap();
     (0..hierarchy.nodes().len()).filter_map(|entry| draw(scene, hierarchy, entry, origin, mask)).collect()

@@ -1,4 +1,4 @@
-//! Lens shift: a shifted camera sees a part of what one without shift sees from the same place.
+//! Lens shift: a shifted camera sees a part of what a larger camera without shift sees from the same place.
 
 #![expect(clippy::unwrap_used, reason = "a panic in a test is a failure")]
 
@@ -35,7 +35,7 @@ fn ids(scene: &mut Scene, camera: Camera, [width, height]: [u32; 2]) -> Vec<(Nod
 #[test]
 fn a_shifted_camera_sees_a_crop_of_a_larger_image() {
     let mut scene = scene();
-    // The whole is twice as wide and three times as high.
+    // The larger image is twice as wide and three times as high.
     let (width, height) = (64, 40);
     let third = |y_fov: f32| 2.0 * ((y_fov / 2.0).tan() / 3.0).atan();
     let cameras = [

@@ -1,7 +1,5 @@
 //! Every real scene is imported and drawn, whole.
 
-#![expect(clippy::unwrap_used, clippy::panic, reason = "a panic in a test is a failure")]
-
 use ropewalk::{DeviceChoice, Error, Renderer, RendererOptions, Scene, View, gltf};
 use ropewalk_testkit::corpus::{gltf_files, scenes};
 

@@ -1,4 +1,4 @@
-//! The one call a frame, from the outside: what it reports, and that where a scene lies does not matter.
+//! `Renderer::render`: its report, and that the scene's distance from the origin does not change the image.
 
 #![expect(clippy::unwrap_used, reason = "a panic in a test is a failure")]
 
@@ -103,7 +103,7 @@ fn a_moved_node_is_seen_where_it_is() {
     assert_eq!(seen(&mut renderer, &mut scene, cubes[2]), 0);
 }
 
-/// ARCHITECTURE, numbers: a scene far from the origin looks the same as at it.
+/// ARCHITECTURE, numbers: a scene far from the origin looks as it does at the origin.
 #[test]
 fn a_scene_far_from_the_origin_looks_the_same() {
     let (mut scene, world, _) = scene();
@@ -121,7 +121,7 @@ fn a_scene_far_from_the_origin_looks_the_same() {
     let pixels = near.triangle.len();
     assert!(near.triangle.iter().filter(|&&t| t != u32::MAX).count() > pixels / 4, "nothing to compare");
     let different = (0..pixels).filter(|&i| (near.node[i], near.triangle[i]) != (far.node[i], far.triangle[i])).count();
-    // f64 holds 1e7 to 2e-9: a ray within that of an edge may take the other side.
+    // Near 1e7, f64 has a precision of 2e-9: a ray that passes an edge at less than that may fall to the other side.
     assert_eq!(different, 0, "of {pixels} pixels");
 }
 

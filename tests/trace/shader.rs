@@ -1,4 +1,4 @@
-//! Every kernel is valid WGSL, and its structs are those of the Rust types.
+//! Every kernel is valid WGSL, and its structs have the layout of the Rust types.
 
 #![allow(clippy::panic, reason = "a test fails by panicking")]
 
@@ -44,7 +44,8 @@ fn every_kernel_is_valid_whatever_is_needed() {
     }
 }
 
-/// Includes of all kinds: every need alone and left out, with surfaces and without, whole and split.
+/// Includes of all kinds: each need alone and all but each, with and without surfaces, with whole and with split
+/// arrays.
 fn includes() -> impl Iterator<Item = Include> {
     let all = Needs::all();
     let needs = [Needs::empty(), all].into_iter().chain(all.iter().flat_map(move |flag| [flag, all - flag]));

@@ -1,7 +1,8 @@
-//! What the `cpu` executor finds against f64: the triangle, and how far away it is. Beside it Möller and Trumbore's test in f32 on the
-//! triangle that f64 finds.
+//! The hits of the executor `cpu` compared with f64: the triangle and the distance t. Beside it the test of Möller and
+//! Trumbore in f32, on the triangle that f64 finds.
 //!
-//! The error of t is given twice: that of the test, from the ray as f32 has it in the instance, and all of it, from the ray in the world.
+//! The error of t is given twice: that of the triangle test alone, relative to the ray in the instance's space as f32
+//! represents it, and the whole error, relative to the ray in the world.
 
 mod oracle;
 
@@ -31,13 +32,13 @@ fn main() -> ExitCode {
     finish(measure_all(&options), &options)
 }
 
-/// What was found along some rays.
+/// The result of comparing some rays.
 #[derive(Default)]
 struct Tally {
     hits: usize,
     false_misses: usize,
     false_hits: usize,
-    /// Something else is nearer, or what was hit is not met.
+    /// Rays for which another triangle is nearer, or the triangle is not hit.
     wrong_triangles: usize,
     /// Of each hit, the error of the test: relative, and in units of the last place.
     errors: Vec<[f64; 2]>,
@@ -144,7 +145,7 @@ fn tally(arrays: &DeviceArrays, rays: &[RayRecord], hits: &[HitRecord], truth: &
     tally
 }
 
-/// No wrong triangles, since it is asked of the right ones only.
+/// This test is only applied to the right triangles, so it has no wrong ones.
 fn tally_moeller_trumbore(arrays: &DeviceArrays, rays: &[RayRecord], truth: &[Option<oracle::Exact>]) -> Tally {
     let mut tally = Tally::default();
     for (ray, truth) in rays.iter().zip(truth) {

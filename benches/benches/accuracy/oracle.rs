@@ -1,10 +1,10 @@
-//! Rays and triangles in f64, taken as exactly as the device arrays have them.
+//! Ray-triangle intersection in f64, with the values of the device arrays taken as exact.
 
 use glam::{DMat3, DVec3};
 use ropewalk::device::DeviceArrays;
 use ropewalk::device::layout::{InstanceRecord, Node, PrimitiveRange, RayRecord, Triangle};
 
-/// A ray's closest hit, or what is known of another one.
+/// The hit of a ray in f64.
 #[derive(Clone, Copy)]
 pub struct Exact {
     pub instance: u32,
@@ -89,7 +89,8 @@ fn visit(nodes: &[Node], ray: &LocalRay, mut t_max: f64, mut leaf: impl FnMut(Pr
     }
 }
 
-/// How far it truly is to the plane of a triangle, along a ray of the world, and along that ray as f32 has it in the instance.
+/// The distance in f64 to the plane of a triangle, along the ray in the world, and along the ray in the instance's
+/// space as f32 represents it.
 pub fn distances(arrays: &DeviceArrays, ray: &RayRecord, instance: u32, triangle: u32) -> [f64; 2] {
     let exact = LocalRay::new(ray).within(&arrays.instances[instance as usize]);
     let rounded = LocalRay::new(&local_ray(arrays, ray, instance));

@@ -11,8 +11,8 @@ pub struct CostNode {
     pub primitives: u32,
 }
 
-/// Expected box and primitive tests, each of cost 1, of a ray that meets the root's box and hits nothing. `children` adds those
-/// of an inner node to a list.
+/// Expected box and primitive tests, each of cost 1, of a ray that meets the root's box and hits nothing. `children`
+/// adds those of an inner node to a list.
 pub fn sah_cost(node: impl Fn(usize) -> CostNode, children: impl Fn(usize, &mut Vec<usize>)) -> f64 {
     let (root_area, mut cost) = (node(0).area, 0.0);
     let mut stack = vec![0];

@@ -1,9 +1,10 @@
-//! How long bottom-level structures take to build, and how good they are: Ropewalk's builders and its peers'.
+//! Building time and quality of bottom-level structures, of Ropewalk's builders and of its peers'.
 //!
-//! All get the same triangles, three corners each, and end with what their own traversal reads: ours with both of its layouts,
-//! obvhs with its triangles in the order of the leaves, as its own examples have them. Every one uses all threads that it knows to
-//! use. Two measures of quality: the surface area heuristic's cost, by one function for all whose tree can be read, and the
-//! rate of one thread on diffuse rays where a peer's is known from the benchmark `peers`: that of Embree.
+//! All get the same triangles, three corners each, and end with what their own traversal reads: ours with both of its
+//! layouts, obvhs with its triangles in the order of the leaves, as its own examples have them. Every one uses all
+//! threads that it knows to use. Two measures of quality: the surface area heuristic's cost, by one function for all
+//! whose tree can be read, and the rate of one thread on diffuse rays where a peer's is known from the benchmark
+//! `peers`: that of Embree.
 
 mod cost;
 mod peers;
@@ -55,13 +56,13 @@ fn measure_all(options: &Options) -> Result<Report> {
     Ok(report)
 }
 
-/// What is known of a builder.
+/// The figures of a builder.
 struct Point {
     name: &'static str,
     time: Duration,
-    /// The less, the better.
+    /// Less is better.
     cost: Option<f64>,
-    /// The more, the better: rays a second.
+    /// Rays a second; more is better.
     rate: Option<f64>,
 }
 
@@ -95,7 +96,8 @@ fn measure(recipe: &Recipe, samples: usize, report: &mut Report) -> Result<()> {
             point.rate.map_or(String::new(), |rate| format!("{:.2}", rate * 1e-6)),
         ]);
     }
-    // For each of ours, the peer that comes nearest to being both faster and better: by how much it fails at one of them.
+    // For each of our builders, the peer that comes nearest to being both faster and better, and the factor by which it
+    // fails to be one of them.
     let (ours, theirs) = points.split_at(OURS.len());
     for our in ours {
         let name = our.name.replace("ropewalk, ", "").replace('-', "_");
@@ -119,7 +121,7 @@ fn soup(triangles: &[[Vec3; 3]]) -> Geometry {
     Geometry::new(triangles.as_flattened(), indices)
 }
 
-/// Of ours, Embree's and all other peers', in turns.
+/// Building times of our builders, Embree's and all other peers', measured in turns.
 fn build_times(triangles: &[[Vec3; 3]], embree: &Embree, peers: &[Peer], samples: usize) -> Vec<Duration> {
     let geometry = &soup(triangles);
     let mut contenders: Vec<Contender> = Vec::new();
@@ -135,7 +137,7 @@ fn build_times(triangles: &[[Vec3; 3]], embree: &Embree, peers: &[Peer], samples
     medians(samples, &mut contenders)
 }
 
-/// Diffuse rays a second on one thread, of ours and Embree's, in turns.
+/// Diffuse rays a second on one thread, of our structures and Embree's, measured in turns.
 fn rates(recipe: &Recipe, triangles: &[[Vec3; 3]], embree: &Embree, samples: usize) -> Result<Vec<f64>> {
     let scene = recipe.load(ImageSize::Paper)?;
     let sets = RaySets::new(&scene)?;
@@ -161,7 +163,7 @@ fn rates(recipe: &Recipe, triangles: &[[Vec3; 3]], embree: &Embree, samples: usi
     Ok(times.into_iter().map(|time| rays.len() as f64 / time.as_secs_f64()).collect())
 }
 
-/// A scene of one geometry whose structure is this.
+/// The device arrays of one geometry with this structure.
 fn with_structure(recipe: &Recipe, structure: BlasKind) -> Result<BenchScene> {
     let mut scene = recipe.load(ImageSize::Paper)?;
     // The same triangles in the same order as they were given.

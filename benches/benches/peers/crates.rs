@@ -23,7 +23,7 @@ fn entry<'a>(name: &str, runner: impl Runner + 'a) -> Entry<'a> {
     Entry { name: name.to_owned(), role: Role::Other, runner: Box::new(runner) }
 }
 
-/// Its eight-wide compressed hierarchy, at two of its presets.
+/// The eight-wide compressed BVH of `obvhs`, with two of its presets.
 pub struct Obvhs([(&'static str, CwBvh, Vec<RtTriangle>); 2]);
 
 impl Obvhs {

@@ -1,4 +1,4 @@
-//! Embree 4: a ray at a time and 16, as it comes, built for quality, and watertight ("robust").
+//! Embree 4, single rays and packets of 16: with its defaults, with high build quality, and watertight ("robust").
 
 use std::time::Duration;
 
@@ -11,7 +11,7 @@ use ropewalk_bench::{Result, time};
 
 use crate::peer::{Entry, Peer, Role};
 
-/// Its scenes: as it comes, of high quality, and robust.
+/// Its scenes: with the defaults, of high quality, and robust.
 pub struct Embree4<'a>([Scene<'a>; 3]);
 
 impl<'a> Embree4<'a> {

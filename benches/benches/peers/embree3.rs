@@ -1,5 +1,5 @@
-//! Embree 3.13 of the distribution (Debian: `libembree-dev`), with the cargo feature `embree3`. A ray at a time: its wider
-//! packets are compiled out there.
+//! Embree 3.13 of the distribution (Debian: `libembree-dev`), with the cargo feature `embree3`. Single rays only, since
+//! that package is compiled without packets.
 
 use std::time::Duration;
 
@@ -12,7 +12,7 @@ use ropewalk_bench::{Result, time};
 
 use crate::peer::{Entry, Peer, Role};
 
-/// A scene of one geometry, as it comes.
+/// A scene of one geometry, with the defaults.
 pub struct Embree3(Scene<'static>);
 
 impl Embree3 {
@@ -73,7 +73,7 @@ impl Runner for Function<'_> {
     fn answers(&self) -> Vec<f32> {
         let answer = |ray: &RayHit| {
             if self.kind.is_any_hit() {
-                // Where a ray met something, it ends at minus infinity.
+                // After a hit, Embree sets the ray's end to minus infinity.
                 any_answer(ray.ray.tfar < 0.0)
             } else if ray.hit.is_valid() {
                 ray.ray.tfar

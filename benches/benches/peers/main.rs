@@ -1,8 +1,8 @@
-//! The same rays through Ropewalk's `cpu` executor and its peers, one thread each.
+//! The same rays traced by Ropewalk's executor `cpu` and by its peers, one thread each.
 //!
-//! All are built over the same triangles: where a scene has instances, peers get them flattened into one level, which spares
-//! them the second. Every material is opaque and has two sides. Rays are laid out for each as it takes them before the clock
-//! starts.
+//! All are built over the same triangles: where a scene has instances, peers get them flattened into one level, which
+//! spares them the second. Every material is opaque and has two sides. Rays are laid out for each as it takes them
+//! before the clock starts.
 
 mod crates;
 mod embree;
@@ -27,12 +27,13 @@ use crates::{Bvh, Obvhs, Parry};
 use embree::Embree4;
 use peer::{Entry, Peer, Role};
 
-/// The scenes of this benchmark: those that peers can hold without instances.
+/// The scenes of this benchmark: those that fit into memory without instances.
 const NAMES: [&str; 5] = ["bunny", "dragon-res2", "dragon", "sponza", "kitchen"];
 const QUICK_NAMES: [&str; 1] = ["bunny"];
 /// The scenes that the goals are about.
 const GOAL_NAMES: [&str; 2] = ["bunny", "dragon"];
-/// Of the rate of one thread, with so many threads: 3.6 of 4.
+/// The goal for several threads: this share of one thread's rate times their number, so 3.6 times that rate with 4
+/// threads.
 const SCALING: f64 = 0.9;
 const MAX_THREADS: usize = 4;
 
@@ -124,7 +125,7 @@ fn ours<'a>(scene: &'a BenchScene, rays: &'a [RayRecord], kind: RayKind, pools: 
     })
 }
 
-/// Adds a row for each, ours first, and the goals. Returns everybody's times, in seconds.
+/// Adds a row for each executor and peer, ours first, and the goals. Returns all times in seconds.
 fn measure(
     scene: &BenchScene,
     triangles: &[[Vec3; 3]],
@@ -171,8 +172,8 @@ fn measure(
     times
 }
 
-/// How often as fast we are to be, and as whom: the fastest of each group. Sixteen rays at a time as Embree comes and, a goal of its
-/// own, with its flag for coherent rays.
+/// Goals: our rate in units of that of the fastest peer of each group. Embree's packets of 16 have two goals: with its
+/// defaults, and with its flag for coherent rays.
 fn rivals(kind: RayKind) -> (f64, &'static [(&'static str, &'static [Role])]) {
     const COHERENT: (&str, &[Role]) = ("embree_16_coherent", &[Role::Embree16Coherent]);
     match kind {

@@ -1,4 +1,4 @@
-//! What peers have in common.
+//! The interface of peers.
 
 use std::time::Duration;
 
@@ -7,7 +7,7 @@ use ropewalk_bench::rays::RayKind;
 use ropewalk_bench::runner::Runner;
 use ropewalk_bench::time;
 
-/// Who traces, and what a goal compares it as.
+/// The group of an executor or peer, for goals.
 pub struct Entry<'a> {
     pub name: String,
     pub role: Role,
@@ -17,22 +17,22 @@ pub struct Entry<'a> {
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Role {
     Ours,
-    /// Embree as it comes, a ray at a time.
+    /// Embree with its defaults, single rays.
     Embree1,
-    /// The same, 16 at a time.
+    /// The same in packets of 16.
     Embree16,
-    /// Those with the flag for coherent rays.
+    /// Packets with the flag for coherent rays.
     Embree16Coherent,
     Other,
 }
 
-/// Somebody else's structure over a scene.
+/// A peer's structure over a scene.
 pub trait Peer {
     /// The ways to trace rays with it.
     fn entries<'a>(&'a self, rays: &'a [RayRecord], kind: RayKind) -> Vec<Entry<'a>>;
 }
 
-/// A peer that is asked for one ray after the other.
+/// A peer that traces single rays.
 pub struct RayByRay<T, F> {
     rays: Vec<T>,
     trace: F,
@@ -40,7 +40,7 @@ pub struct RayByRay<T, F> {
 }
 
 impl<T, F: Fn(&T) -> f32> RayByRay<T, F> {
-    /// Rays as the peer takes them, and how it finds the answer to one.
+    /// Rays in the peer's format, and the function that traces one.
     pub fn new(rays: Vec<T>, trace: F) -> Self {
         Self { answers: vec![0.0; rays.len()], rays, trace }
     }

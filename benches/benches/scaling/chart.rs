@@ -1,4 +1,5 @@
-//! The rates as a picture: a panel for triangles and one for instances, both axes logarithmic. Dots are measured, lines fitted.
+//! The rates as a picture: a panel for triangles and one for instances, both axes logarithmic. Dots are measured, lines
+//! fitted.
 
 use std::path::Path;
 

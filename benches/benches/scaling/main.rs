@@ -1,8 +1,8 @@
-//! How the rate falls as scenes grow: in triangles of one geometry, and in instances of a small one.
+//! The rate of rays as scenes grow: in triangles of one geometry, and in instances of a small geometry.
 //!
-//! The same bumpy sphere of ever more triangles, seen from one place: the same pixels hit, and the bumps hide the same. Copies of a
-//! small one in a cube, ever smaller, so that their boxes fill as much of the cube whatever their number; what hits grows up to
-//! all of the cube.
+//! The same bumpy sphere of ever more triangles, seen from one place: the same pixels hit, and the bumps hide the same.
+//! Copies of a small one in a cube, ever smaller, so that their boxes fill as much of the cube whatever their number;
+//! what hits grows up to all of the cube.
 
 mod chart;
 mod fit;
@@ -30,7 +30,7 @@ use fit::{Line, fit};
 
 /// Sizes are powers of 4 up to these powers of 2.
 const MOST: [(Series, u32, u32); 2] = [(Series::Triangles, 10, 24), (Series::Instances, 0, 20)];
-/// The same where it must be quick.
+/// The same with `--quick`.
 const QUICK_MOST: [(Series, u32, u32); 2] = [(Series::Triangles, 10, 14), (Series::Instances, 0, 6)];
 /// Of the geometry with instances.
 const COPIED_TRIANGLES: u32 = 1 << 10;
@@ -47,7 +47,7 @@ struct Arguments {
     chart: Option<PathBuf>,
 }
 
-/// What grows.
+/// What grows in a series of scenes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Series {
     /// Of one geometry.
@@ -83,7 +83,7 @@ impl Series {
     }
 }
 
-/// One rate.
+/// A measured rate.
 pub struct Point {
     series: Series,
     /// Triangles or instances.
@@ -230,7 +230,7 @@ fn measure_size(
     Ok(())
 }
 
-/// What the rays cost, counted by all threads.
+/// The kernel's counts of the rays, computed by all threads.
 fn work(kernel: &Emulated, arrays: &DeviceArrays, rays: &[RayRecord]) -> TraversalCounts {
     const CHUNK: usize = 1 << 12;
     let counts: Vec<TraversalCounts> =
@@ -254,7 +254,7 @@ fn curves(points: &[Point], series: Series) -> Vec<Vec<&Point>> {
     curves
 }
 
-/// The time of a ray as c n^k.
+/// A fit of the time of a ray by c n^k.
 fn power(curve: &[&Point]) -> Line {
     fit(curve.iter().map(|point| [point.count.ln(), point.nanoseconds_a_ray.ln()]))
 }

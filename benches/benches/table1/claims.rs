@@ -1,4 +1,4 @@
-//! The paper's three claims, held against what was measured and counted.
+//! The paper's three claims, checked against times and counts.
 
 use ropewalk::device::DeviceArrays;
 use ropewalk::device::layout::NONE;
@@ -16,7 +16,7 @@ const HARDLY: f64 = 0.31;
 const NEAR: Setting = Setting { is_far: false, has_shadows: true };
 const FAR: Setting = Setting { is_far: true, has_shadows: true };
 
-/// What the same rays cost in the same structure, by pointers and by arrays.
+/// The cost of the same rays in the same structure, traversed by pointers and by arrays.
 pub struct Walks {
     scene: &'static str,
     kinds: Vec<(RayKind, usize, [TraversalCounts; 2])>,
@@ -148,7 +148,7 @@ fn first_hits(measured: &[Measured]) -> Vec<String> {
     lines
 }
 
-/// What explains a time.
+/// The counts that explain a time.
 fn told(figure: &Measured) -> String {
     let counts = figure.counts;
     format!(

@@ -1,4 +1,4 @@
-//! Who traces a frame, and by whose clock.
+//! The executors that trace a frame, and the clocks that time it.
 
 use std::time::Duration;
 
@@ -16,9 +16,9 @@ use crate::PaperColumn;
 pub struct Executor<'a> {
     pub name: String,
     pub paper_column: Option<PaperColumn>,
-    /// Whether it gets the paper's arrays instead of the shipped ones.
+    /// Whether it traces the paper's arrays instead of the shipped ones.
     pub walks_paper: bool,
-    /// What it walks there, if the kernel can count that.
+    /// Its traversal, if the kernel can count it.
     pub layout: Option<Traversal>,
     tracer: Box<dyn Tracer + Send>,
     pool: &'a ThreadPool,
@@ -27,18 +27,18 @@ pub struct Executor<'a> {
 
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Clock {
-    /// Until the frame is traced.
+    /// The wall clock, until the frame is traced.
     Call,
-    /// The GPU's own.
+    /// The GPU's own clock.
     #[cfg(feature = "gpu")]
     Gpu,
-    /// Until the frame is in main memory.
+    /// The wall clock, until the image is in main memory.
     #[cfg(feature = "gpu")]
     ReadBack,
 }
 
 impl Clock {
-    /// The time of a frame whose call took so long.
+    /// The time of a frame, given how long the call took.
     #[cfg_attr(not(feature = "gpu"), expect(unused_variables, reason = "for the GPU"))]
     fn read(self, call: Duration, tracer: &dyn Tracer) -> Option<Duration> {
         match self {
@@ -56,7 +56,7 @@ impl Clock {
 }
 
 impl Executor<'_> {
-    /// Traces the frame once. Without end if that fails.
+    /// Traces the frame once. Returns the greatest duration if that fails.
     pub fn trace(&mut self, arrays: &DeviceArrays, request: &FrameRequest) -> Duration {
         let Self { tracer, pool, clock, .. } = self;
         let traced = pool.install(|| {
@@ -74,7 +74,7 @@ impl Executor<'_> {
     }
 }
 
-/// What the frame costs each of them. The packets of `cpu` and recursion have no counts of a frame, but trace the same rays.
+/// The counts of the frame for each executor. `cpu` (packets) and recursion have no counts, but trace the same rays.
 pub fn counts<'a>(
     executors: &[Executor<'_>],
     request: &FrameRequest,
@@ -94,7 +94,7 @@ pub fn counts<'a>(
     executors.iter().map(|executor| of(executor).map_or(rays, |(_, counts)| *counts)).collect()
 }
 
-/// All of them, those of the paper first. Where there is no GPU, says so.
+/// All executors, those of the paper first. Prints a message if there is no GPU.
 pub fn executors<'a>(
     scene: &mut BenchScene,
     paper: &mut DeviceArrays,

@@ -1,9 +1,9 @@
 //! The paper's Table I: its three scenes, reflective and refractive, three levels deep, and its three claims.
 //!
-//! Time is that of tracing one frame of an unchanged scene. Sphere, bunny and dragon fill about the same part of the image, and a
-//! quarter of that from twice the distance. The renderer has no soft shadows yet: with shadows, one ray goes from each hit to one point
-//! light. Emulated and recursive run on one thread; both walk the paper's own structure, one triangle a leaf, and emulated
-//! the shipped one too.
+//! Time is that of tracing one frame of an unchanged scene. Sphere, bunny and dragon fill about the same part of the
+//! image, and a quarter of that from twice the distance. The renderer has no soft shadows yet: with shadows, one ray
+//! goes from each hit to one point light. Emulated and recursive run on one thread; both walk the paper's own
+//! structure, one triangle a leaf, and emulated the shipped one too.
 
 mod claims;
 mod frame;
@@ -23,14 +23,14 @@ use ropewalk_bench::{Contender, Options, Report, Result, finish, medians, thread
 use claims::Walks;
 use frame::Executor;
 
-/// The paper's scenes and its seconds a frame: CUDA, OpenCL, CPU (pointers and recursion), Emulated (arrays, one thread). A GTX 280
-/// and a Core 2 Quad at 2.5 GHz, 2010; soft shadows from precomputed transfer, without rays.
+/// The paper's scenes and its seconds a frame: CUDA, OpenCL, CPU (pointers and recursion), Emulated (arrays, one
+/// thread). A GTX 280 and a Core 2 Quad at 2.5 GHz, 2010; soft shadows from precomputed transfer, without rays.
 const PAPER: [(&str, [f64; 4]); 3] = [
     ("sphere", [0.105, 0.33, 17.9, 1.93]),
     ("bunny", [0.187, 0.515, 5.115, 2.01]),
     ("dragon", [0.41, 1.49, 13.25, 4.46]),
 ];
-/// An executor of the paper's.
+/// An executor of the paper.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PaperColumn {
     /// CUDA and OpenCL.
@@ -41,11 +41,11 @@ pub enum PaperColumn {
     Emulated,
 }
 
-/// How much smaller an image is along each side when it must be quick.
+/// The factor by which an image is smaller along each side with `--quick`.
 const QUICK_PART: u32 = 4;
 /// By how much a pixel's colour may differ from another executor's: a quarter of an 8-bit step.
 const SAME: f32 = 1e-3;
-/// What part of the light that a surface does not mirror goes through it.
+/// The share of the light that is transmitted, of that which a surface does not mirror.
 const TRANSMISSION: f32 = 0.5;
 
 #[derive(Debug, Parser)]
@@ -59,7 +59,7 @@ fn main() -> ExitCode {
     finish(measure_all(&arguments.options), &arguments.options)
 }
 
-/// How a frame is taken.
+/// The view and the light of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Setting {
     /// From twice the distance.
@@ -87,12 +87,12 @@ pub struct Measured {
     triangles: u64,
     setting: Setting,
     executor: String,
-    /// Which of the paper's figures it is to be seen beside.
+    /// The paper's figure to compare it with.
     paper_column: Option<PaperColumn>,
     seconds: f64,
-    /// The rays, and their work where somebody counted it.
+    /// The counts of the frame, if there are any.
     counts: FrameCounts,
-    /// Pixels that are not those of the first executor.
+    /// The number of pixels that differ from those of the first executor.
     other_pixels: usize,
 }
 

@@ -1,27 +1,27 @@
-//! How fast each executor traces each kind of ray, and what a ray costs it.
+//! The rate of each executor for each kind of ray, and the cost of a ray in nodes, boxes, triangles and bytes.
 //!
-//! The first row of each block is the paper's own method: ropes in one fixed order, one triangle a leaf, one ray after the
-//! other. Counts are the kernel's own; the executor `cpu` walks by packets, which have no count a ray. With the cargo feature `gpu`
-//! the executor `gpu` is measured too, where there is a GPU.
+//! The first row of each block is the paper's own method: ropes in one fixed order, one triangle a leaf, one ray after
+//! the other. Counts are the kernel's own; the executor `cpu` walks by packets, which have no count a ray. With the
+//! cargo feature `gpu` the executor `gpu` is measured too, where there is a GPU.
 
 use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::Parser;
 use rayon::ThreadPool;
-use rayon::prelude::*;
 use ropewalk::device::DeviceArrays;
-use ropewalk::device::layout::{NONE, RayRecord};
+use ropewalk::device::layout::RayRecord;
 use ropewalk::trace::{Cpu, Emulated, Traversal, TraversalCounts};
 #[cfg(feature = "gpu")]
 use ropewalk_bench::gpu::Gpu;
+use ropewalk_bench::kernel_counts::KernelCounts;
 use ropewalk_bench::layouts::paper_arrays;
 use ropewalk_bench::rays::{Differences, RayKind, RaySets, true_answers};
 use ropewalk_bench::runner::{Runner, Traced};
 use ropewalk_bench::scenes::{BenchScene, ImageSize, SCENES};
 use ropewalk_bench::{Contender, Options, Report, Result, finish, medians, thread_pool};
 
-/// What the kernel walks, and whether it is the paper's own arrays that it walks.
+/// The traversals of the kernel, and whether the arrays are the paper's or the shipped ones.
 const LAYOUTS: [(&str, Traversal, bool); 3] = [
     ("paper: rope of 1 triangle a leaf", Traversal::Rope, true),
     ("rope", Traversal::Rope, false),
@@ -80,42 +80,11 @@ fn measure_all(arguments: &Arguments) -> Result<Report> {
     Ok(report)
 }
 
-/// An executor over some arrays, with what a ray does there where a replica tells.
+/// An executor over some arrays, with what its rays read, where the kernel counts it.
 struct Entry<'a> {
     name: String,
     runner: Box<dyn Runner + 'a>,
-    work: Option<Work>,
-}
-
-/// What all rays together do.
-#[derive(Clone, Copy)]
-struct Work {
-    counts: TraversalCounts,
-    /// Of the steps of lanes in groups of 32, those not spent waiting for the group's last. A step is a node or a triangle.
-    lockstep_efficiency: f64,
-}
-
-impl Work {
-    /// Asks the kernel.
-    fn of(arrays: &DeviceArrays, rays: &[RayRecord], kind: RayKind, layout: Traversal) -> Self {
-        const LANES: usize = 32;
-        let kernel = Emulated::default().with_traversal(layout);
-        let count = |ray: &RayRecord| {
-            let ray = std::slice::from_ref(ray);
-            if kind.is_any_hit() {
-                kernel.count_any_hits(arrays, ray, NONE)
-            } else {
-                kernel.count_closest_hits(arrays, ray, NONE)
-            }
-        };
-        let counts: Vec<TraversalCounts> = rays.par_iter().map(count).collect();
-        let steps = |counts: &TraversalCounts| counts.nodes + counts.triangles;
-        let slowest = |group: &[TraversalCounts]| group.iter().map(steps).max().unwrap_or(0);
-        let lane_steps = LANES as u64 * counts.chunks(LANES).map(slowest).sum::<u64>();
-        let mut sum = TraversalCounts::default();
-        counts.into_iter().for_each(|counts| sum += counts);
-        Self { counts: sum, lockstep_efficiency: steps(&sum) as f64 / lane_steps.max(1) as f64 }
-    }
+    work: Option<KernelCounts>,
 }
 
 fn measure_scene(
@@ -138,14 +107,14 @@ fn measure_scene(
         for (how, layout, is_paper) in LAYOUTS {
             let arrays = if is_paper { &paper } else { scene.arrays() };
             let runner = Traced::new(Emulated::default().with_traversal(layout), &pools[0], arrays, rays, kind);
-            let work = Some(Work::of(arrays, rays, kind, layout));
+            let work = Some(KernelCounts::of(arrays, rays, kind, layout));
             entries.push(Entry { name: format!("emulated, {how}"), runner: Box::new(runner), work });
         }
         entries.extend(pools.iter().map(|pool| cpu(pool, scene.arrays(), rays, kind)));
         #[cfg(feature = "gpu")]
         for ((how, layout, is_paper), gpu) in LAYOUTS.into_iter().zip(&gpus) {
             let arrays = if is_paper { &paper } else { scene.arrays() };
-            let work = Some(Work::of(arrays, rays, kind, layout));
+            let work = Some(KernelCounts::of(arrays, rays, kind, layout));
             if let Some(resident) = gpu.resident(rays, kind) {
                 entries.push(Entry { name: format!("{}, {how}", gpu.label()), runner: Box::new(resident), work });
             }

@@ -1,7 +1,7 @@
-//! Scenes of a thousand to a million nodes are edited: what it takes until they can be traced again.
+//! Edits of scenes of a thousand to a million nodes: the time until they can be traced again.
 //!
-//! `propagation`: world transforms, against `bevy_transform` and a plain tree in a slotmap; all move the same nodes to the
-//! same places, in turns. `ready`: the whole way from an edit to device arrays. The top level against `obvhs`: the
+//! `propagation`: world transforms, against `bevy_transform` and a plain tree in a slotmap; all move the same nodes to
+//! the same places, in turns. `ready`: the whole way from an edit to device arrays. The top level against `obvhs`: the
 //! benchmark `tlas`.
 
 #![allow(missing_docs)]
@@ -22,9 +22,9 @@ use crate::ready::{Compiled, Cost, Edit};
 use crate::shape::{HUMANOID, Pose, Shape, choose};
 
 const LARGEST: usize = 1_000_000;
-/// Where 1 % of a million nodes moved.
+/// The goal when 1 % of a million nodes have moved.
 const PROPAGATION_RATIO: f64 = 5.0;
-/// One of a million instances moved: ready in so many microseconds, with so many bytes copied.
+/// Goals when one of a million instances has moved: microseconds until ready, and bytes to copy.
 const ONE_MICROSECONDS: f64 = 50.0;
 const ONE_BYTES: f64 = 1000.0;
 const UNCHANGED_MICROSECONDS: f64 = 1.0;
@@ -71,7 +71,7 @@ fn main() -> ExitCode {
     report.finish(&options)
 }
 
-/// How many of so many move.
+/// The numbers of nodes that move, for a number of nodes.
 fn counts(of: usize) -> Vec<usize> {
     let mut counts = vec![1, 100, of / 100, of];
     counts.sort_unstable();
@@ -133,7 +133,7 @@ fn propagate(shape: Shape, count: usize, samples: usize, report: &mut Report) ->
     lowest
 }
 
-/// All must have come to the same places; the peer counts in f32.
+/// Checks that all contenders compute the same places. The peer computes in f32.
 fn check_agreement(contenders: &mut [Box<dyn Propagation>], count: usize, random: &mut fastrand::Rng) {
     for node in choose(random, count.min(1000), count) {
         let [ours, bevy, plain] = [0, 1, 2].map(|i: usize| contenders[i].world(node));
@@ -191,7 +191,7 @@ fn row(report: &mut Report, nodes: usize, shape: Shape, edit: Edit, edited: usiz
         milliseconds(cost.tlas),
         milliseconds(cost.total),
         cost.bytes.to_string(),
-        // Commas end cells.
+        // Commas would end a cell of the CSV file.
         cost.update.to_string().replace(',', " and"),
     ]);
 }

@@ -1,4 +1,4 @@
-//! What a node and an instance take, by what the process has resident.
+//! The memory of a node and of an instance, from the resident memory of the process.
 
 use memory_stats::memory_stats;
 use ropewalk::compile::Compiler;

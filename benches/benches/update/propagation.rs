@@ -12,7 +12,7 @@ use slotmap::{DefaultKey, SlotMap};
 
 use crate::shape::Pose;
 
-/// One that keeps a tree's world transforms.
+/// A contender: it keeps the world transforms of a tree.
 pub trait Propagation {
     fn name(&self) -> &'static str;
     /// Sets the local transforms of these nodes.
@@ -32,7 +32,7 @@ pub fn run(contender: &mut dyn Propagation, moves: &[(usize, Pose)]) -> [Duratio
     [edited, start.elapsed() - edited]
 }
 
-/// A node a pose.
+/// One node for each pose.
 pub struct Ropewalk {
     scene: Scene,
     nodes: Vec<NodeKey>,
@@ -189,7 +189,7 @@ impl Propagation for Plain {
     }
 
     fn propagate(&mut self) {
-        // Recursion with a stack of its own: chains are deeper than a thread's.
+        // Recursion with an explicit stack: chains are deeper than a thread's stack allows.
         let mut stack: Vec<_> = self.tops.iter().map(|&top| (top, DAffine3::IDENTITY, false)).collect();
         while let Some((key, above, moved)) = stack.pop() {
             let node = &mut self.nodes[key];

@@ -1,4 +1,4 @@
-//! From an edit to arrays that can be traced: what each step costs, and how many bytes an executor would copy.
+//! From an edit to arrays that can be traced: the time of each step, and the bytes that an executor would copy.
 
 use std::time::{Duration, Instant};
 
@@ -12,16 +12,16 @@ use ropewalk::{Core, Geometry, GeometryKey, KeepTransform, Material, MaterialKey
 use crate::propagation::transform;
 use crate::shape::{HUMANOID, Pose, Shape, choose};
 
-/// Where it is seen from.
+/// The viewpoint.
 pub const EYE: DVec3 = DVec3::new(0.0, 0.0, 100.0);
 
-/// What is done to a scene.
+/// A kind of edit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Edit {
     Nothing,
     Move,
     Insert,
-    /// What was inserted.
+    /// The inserted nodes are removed.
     Remove,
     Reparent,
     Swap,
@@ -63,7 +63,7 @@ pub struct Compiled {
     boxes: Vec<NodeKey>,
     geometries: [GeometryKey; 2],
     material: MaterialKey,
-    /// Above the first tree.
+    /// The node above the first tree.
     switch: NodeKey,
     inserted: Vec<NodeKey>,
     round: usize,

@@ -2,14 +2,14 @@
 
 use glam::{DQuat, DVec3};
 
-/// How a tree of so many nodes hangs together.
+/// The shape of a tree of a given number of nodes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Shape {
-    /// All below nothing.
+    /// All nodes are roots.
     Flat,
-    /// As many branches as each has leaves.
+    /// As many branches as leaves on each branch.
     Wide,
-    /// Each below the one before.
+    /// A chain: each node below the one before.
     Chain,
     /// Skeletons of 100 joints each.
     Humanoids,
@@ -69,7 +69,7 @@ fn limb(joint: usize, first: usize, above: usize) -> usize {
     }
 }
 
-/// Where a joint is below its parent.
+/// The pose of a joint in its parent's space.
 #[derive(Clone, Copy, Debug)]
 pub struct Pose {
     pub translation: DVec3,

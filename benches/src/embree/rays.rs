@@ -69,7 +69,7 @@ pub(super) struct RayHit16 {
 pub(super) struct Valid([c_int; 16]);
 
 impl Valid {
-    /// The first so many lanes.
+    /// The mask of the first `count` lanes.
     pub(super) fn new(count: usize) -> Self {
         Self(std::array::from_fn(|lane| if lane < count { -1 } else { 0 }))
     }

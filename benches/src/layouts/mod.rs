@@ -1,9 +1,12 @@
-//! Ways to lay out a hierarchy, as replicas that count what a ray does in each: simple, scalar, not fast.
+//! Hypothetical node layouts: layouts that Ropewalk does not have, each with a simple scalar traversal that counts what
+//! a ray reads.
 //!
-//! The boxes and leaves are those of Ropewalk's own builders; layouts differ in what a node holds and in the order of the walk.
+//! Boxes and leaves are those of Ropewalk's builders. Layouts differ in what a node holds and in the order in which
+//! children are visited. What the two traversals of the kernel read,
+//! [`KernelCounts`](crate::kernel_counts::KernelCounts) tells.
 
+mod octant_ropes;
 mod pair;
-mod rope;
 mod scene;
 mod tree;
 mod wide;
@@ -13,69 +16,51 @@ use glam::Vec3;
 pub use scene::{LayoutScene, Totals, paper_arrays};
 pub use tree::{Tree, TreeNode};
 
-/// Which layout.
+/// A hypothetical layout, of both levels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Layout {
-    /// The paper's: ropes in one fixed order. 32-byte nodes.
-    Rope,
-    /// The same without the inner nodes that cost more than they save.
-    PrunedRope,
-    /// Eight arrays of ropes, one for each octant of directions, the nearer child first.
+    /// Eight depth-first arrays with escape indices, one for each octant of ray directions, the nearer child first.
+    /// 32-byte nodes.
     OctantRopes,
-    /// The same, pruned.
+    /// The same without the inner nodes that cost more box tests than they save.
     PrunedOctantRopes,
-    /// 64-byte nodes that hold the boxes of two children. The nearer first, the other on a stack.
+    /// 64-byte nodes that hold the boxes of two children. The nearer child is visited first, the other waits on a
+    /// stack.
     Pair,
-    /// 64-byte nodes of four children with 8-bit boxes, by distance.
+    /// 64-byte nodes of four children with 8-bit boxes, visited by distance.
     Wide4,
-    /// 80-byte nodes of eight children with 8-bit boxes, by distance.
-    Wide8,
-    /// The same in the order of the direction's octant, without distances on the stack (Ylitie, Karras, Laine 2017).
+    /// 80-byte nodes of eight children with 8-bit boxes, visited in the order of the direction's octant, without
+    /// distances on the stack (Ylitie, Karras, Laine 2017). The kernel's wide nodes are visited by distance.
     Wide8Octant,
 }
 
 impl Layout {
-    /// All of them, the paper's first.
-    pub const ALL: [Self; 8] = [
-        Self::Rope,
-        Self::PrunedRope,
-        Self::OctantRopes,
-        Self::PrunedOctantRopes,
-        Self::Pair,
-        Self::Wide4,
-        Self::Wide8,
-        Self::Wide8Octant,
-    ];
+    /// All of them.
+    pub const ALL: [Self; 5] = [Self::OctantRopes, Self::PrunedOctantRopes, Self::Pair, Self::Wide4, Self::Wide8Octant];
 
     /// For tables.
     pub fn name(self) -> &'static str {
         match self {
-            Self::Rope => "rope",
-            Self::PrunedRope => "rope, pruned",
             Self::OctantRopes => "8 octant ropes",
             Self::PrunedOctantRopes => "8 octant ropes, pruned",
             Self::Pair => "2 child boxes, stack",
             Self::Wide4 => "4-wide, 8-bit boxes, stack",
-            Self::Wide8 => "8-wide, 8-bit boxes, stack",
             Self::Wide8Octant => "8-wide, octant order, stack",
         }
     }
 
     fn lay_out(self, tree: &Tree) -> Box<dyn Walk> {
         match self {
-            Self::Rope => Box::new(rope::Rope::new(tree, false)),
-            Self::PrunedRope => Box::new(rope::Rope::new(tree, true)),
-            Self::OctantRopes => Box::new(rope::OctantRopes::new(tree, false)),
-            Self::PrunedOctantRopes => Box::new(rope::OctantRopes::new(tree, true)),
+            Self::OctantRopes => Box::new(octant_ropes::OctantRopes::new(tree, false)),
+            Self::PrunedOctantRopes => Box::new(octant_ropes::OctantRopes::new(tree, true)),
             Self::Pair => Box::new(pair::Pairs::new(tree)),
             Self::Wide4 => Box::new(wide::Wide::<4>::new(tree, wide::Order::Distance)),
-            Self::Wide8 => Box::new(wide::Wide::<8>::new(tree, wide::Order::Distance)),
             Self::Wide8Octant => Box::new(wide::Wide::<8>::new(tree, wide::Order::Octant)),
         }
     }
 }
 
-/// What one ray has done.
+/// What one ray has read and tested.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Counts {
     /// Nodes fetched.
@@ -98,28 +83,31 @@ impl Counts {
     }
 }
 
-/// Tests a leaf's triangles up to some distance and returns the distance up to which others matter; a negative one ends the walk.
+/// Tests the triangles of a leaf, given its first triangle, their number and the greatest distance that matters.
+/// Returns the new greatest distance; a negative one ends the traversal.
 pub(crate) type VisitLeaf<'a> = dyn FnMut(u32, u32, f32, &mut Counts) -> f32 + 'a;
 
-/// A structure laid out.
+/// A hierarchy in some layout.
 trait Walk: Send + Sync {
     /// Bytes of all nodes.
     fn node_bytes(&self) -> usize;
 
-    /// Visits the leaves that the ray meets. Returns the distance that the last of them left.
+    /// Visits the leaves whose boxes the ray enters before `t_max`. Returns the greatest distance that matters after
+    /// the last leaf.
     fn walk(&self, ray: &SlabRay, t_max: f32, counts: &mut Counts, leaf: &mut VisitLeaf<'_>) -> f32;
 }
 
-/// A ray as boxes see it. It starts at its origin.
+/// A ray as the slab test needs it. It starts at its origin.
 #[derive(Clone, Copy, Debug)]
 struct SlabRay {
     origin: Vec3,
     reciprocal: Vec3,
 }
 
-/// As in the kernel: see its proof.
+/// Widens the slab test against rounding, as in the kernel (`src/trace/kernel/intersect.rs` has the proof).
 const BOX_SLACK: f32 = 1.0 - 1.0 / (1 << 18) as f32;
-/// Directions are taken to be no shorter along an axis.
+/// The least absolute value of a direction's component: shorter ones are replaced by it, so that their reciprocals are
+/// finite.
 const LEAST_COMPONENT: f32 = 1e-18;
 
 impl SlabRay {

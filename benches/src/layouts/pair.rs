@@ -1,4 +1,5 @@
-//! Nodes that hold the boxes of two children: one fetch tests both, the nearer is walked first, the other waits on a stack.
+//! Nodes that hold the boxes of two children: one fetch tests both, the nearer is walked first, the other waits on a
+//! stack.
 
 use super::tree::Content;
 use super::{Counts, SlabRay, Tree, VisitLeaf, Walk};

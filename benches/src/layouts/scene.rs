@@ -1,4 +1,4 @@
-//! Both levels, and many rays.
+//! A scene in a hypothetical layout: both levels, traced by many rays.
 
 use std::collections::{BTreeMap, HashSet};
 
@@ -16,9 +16,9 @@ use crate::scenes::leaves;
 /// A scene with its hierarchies in some layout.
 pub struct LayoutScene<'a> {
     arrays: &'a DeviceArrays,
-    /// Its leaves are instances.
+    /// The top level, whose leaves are instances.
     top: Box<dyn Walk>,
-    /// By where the structure's nodes start in the device array.
+    /// By the index of the structure's first node in the device array.
     structures: BTreeMap<u32, Structure>,
 }
 
@@ -27,12 +27,13 @@ struct Structure {
     triangles: Vec<Triangle>,
 }
 
-/// What many rays have done.
+/// What many rays have read and tested.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Totals {
-    /// The sums, but of `stack` the most.
+    /// Sums over all rays; of `stack` the maximum.
     pub counts: Counts,
-    /// Of the steps of lanes in groups of 32, those not spent waiting for the group's last. A step is a node or a triangle.
+    /// Rays are traced in groups of 32 that step together, a step being a node or a triangle: the share of the lanes'
+    /// steps in which the lane's ray is not yet done.
     pub lockstep_efficiency: f64,
 }
 
@@ -43,8 +44,8 @@ const TRIANGLE_BYTES: u64 = 48;
 
 impl<'a> LayoutScene<'a> {
     /// Lays out the top level and every bottom-level structure of the arrays.
-    pub fn new(arrays: &'a DeviceArrays, top: Layout, layout: Layout) -> Self {
-        let top = top.lay_out(&Tree::new(&arrays.tlas_nodes));
+    pub fn new(arrays: &'a DeviceArrays, layout: Layout) -> Self {
+        let top = layout.lay_out(&Tree::new(&arrays.tlas_nodes));
         let mut structures = BTreeMap::new();
         for instance in leaves(&arrays.tlas_nodes).map(|(first, _)| &arrays.instances[first]) {
             if structures.contains_key(&instance.first_node) {
@@ -63,7 +64,8 @@ impl<'a> LayoutScene<'a> {
         bytes as f64 / triangles as f64
     }
 
-    /// Traces every ray. For each how far it got: infinity for a miss, 0 for any hit.
+    /// Traces every ray. Returns the distance of each ray's hit (infinity for a miss; 0 for a hit where any hit
+    /// counts).
     pub fn trace(&self, rays: &[RayRecord], is_any_hit: bool) -> (Vec<f32>, Totals) {
         let traced: Vec<(f32, Counts)> = rays
             .par_iter()

@@ -77,7 +77,7 @@ impl Tree {
 struct Siblings {
     first: u32,
     end: u32,
-    /// The parent and the side that wait for its number.
+    /// The parent whose child this will be, and which of its two children.
     place: Option<(usize, usize)>,
 }
 

@@ -8,13 +8,15 @@ use super::{Counts, SlabRay, Tree, VisitLeaf, Walk};
 /// In which order children are walked.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Order {
-    /// As the ray meets them; what waits is dropped when a nearer hit was found.
+    /// By the distance at which the ray enters their boxes. One on the stack is dropped if a nearer hit has been found
+    /// since.
     Distance,
-    /// As their centres lie along the direction's octant; what waits is walked, or tested at its own boxes.
+    /// By where their centres lie along the diagonal of the direction's octant. The stack has no distances: nothing is
+    /// dropped.
     Octant,
 }
 
-/// A child as the node's 8 bits have it.
+/// A child of a wide node, its box as decoded from 8 bits a plane.
 #[derive(Clone, Copy)]
 struct Child {
     aabb: [Vec3; 2],
@@ -72,7 +74,7 @@ fn power_of_two_above(value: f32) -> f32 {
     value.max(f32::MIN_POSITIVE).log2().ceil().exp2()
 }
 
-/// The box as it comes back from 8 bits a plane.
+/// The box as it is decoded after it was stored with 8 bits a plane.
 fn quantised([min, max]: [Vec3; 2], origin: Vec3, scale: Vec3) -> [Vec3; 2] {
     let low = (((min - origin) / scale).floor()).clamp(Vec3::ZERO, Vec3::splat(255.0));
     let high = (((max - origin) / scale).ceil()).clamp(Vec3::ZERO, Vec3::splat(255.0));

@@ -130,7 +130,7 @@ mod tests {
     /// Every other test runs with the widest instruction set: this one with all that the processor has.
     #[test]
     fn every_simd_level_matches_the_kernel() {
-        let mut random = fastrand::Rng::with_seed(1);
+        let mut random = fastrand::Rng::with_seed(4);
         let mut vector = |scale: f32| (Vec3::new(random.f32(), random.f32(), random.f32()) * 2.0 - 1.0) * scale;
         let corners: Vec<Vec3> = (0..600)
             .flat_map(|_| {

@@ -8,7 +8,7 @@ use ropewalk::{Bounds, Core, NodeKey, Scene};
 use super::model::{Model, Step};
 use super::random::Issued;
 
-/// Everything that can be read without `&mut`.
+/// Compares everything that can be read without `&mut Scene`.
 pub(crate) fn state(scene: &mut Scene, model: &Model, issued: &Issued) {
     scene.validate().unwrap();
     structure(scene, model);
@@ -19,7 +19,7 @@ pub(crate) fn state(scene: &mut Scene, model: &Model, issued: &Issued) {
     }
 }
 
-/// The box of everything, and of a few nodes. It brings the hierarchy up to date.
+/// Compares the world bounds of the scene and of a few nodes, which brings the hierarchy up to date.
 pub(crate) fn boxes(scene: &mut Scene, model: &Model) {
     for &node in model.nodes.keys().take(4).chain([&model.root]) {
         bounds(scene.world_bounds(node).unwrap(), node, model);
@@ -90,7 +90,7 @@ fn stale_keys(scene: &Scene, model: &Model, issued: &Issued) {
     assert_eq!(issued.textures.iter().find(|key| texture(key)), None);
 }
 
-/// The matrix takes points where the transforms, applied one by one, take them.
+/// Checks that a node's world matrix maps points to where its transforms, applied one by one, map them.
 fn world(world: DAffine3, node: NodeKey, model: &Model) {
     for point in [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z] {
         let (expected, magnitude) = model.to_world(node, point);
@@ -100,7 +100,8 @@ fn world(world: DAffine3, node: NodeKey, model: &Model) {
     }
 }
 
-/// The box is the box around the corners of the boxes, and every corner of every triangle lies in it.
+/// Checks that a node's bounds are the box around its geometries' boxes, and that every corner of every triangle is
+/// within.
 fn bounds(found: Bounds, node: NodeKey, model: &Model) {
     let mut expected = Bounds::EMPTY;
     let mut magnitude = 0.0;
@@ -132,7 +133,7 @@ fn bounds(found: Bounds, node: NodeKey, model: &Model) {
     }
 }
 
-/// The flattened arrays against the model, and against what the getters said while the arrays were out of date.
+/// Compares the flattened hierarchy with the model, and with what the getters returned while it was out of date.
 pub(crate) fn hierarchy(scene: &mut Scene, model: &Model) {
     let walked: HashMap<_, _> = model.nodes.keys().map(|&node| (node, scene.world_from_local(node).unwrap())).collect();
     let (scene, hierarchy) = scene.with_hierarchy().unwrap();

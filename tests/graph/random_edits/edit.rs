@@ -1,4 +1,4 @@
-//! Random edits: what they do to the scene, what they ought to do to the model, and which error they ought to be.
+//! Random edits: how each is applied to the scene and to the model, and with which error it must fail.
 
 use glam::{DAffine3, DMat3, DVec3, Vec3};
 use ropewalk::{
@@ -32,7 +32,7 @@ pub(crate) enum Edit {
     RemoveUnused,
 }
 
-/// Why an edit must fail.
+/// The reason why an edit must fail.
 #[derive(Debug, PartialEq)]
 enum Fault {
     Stale(ObjectKey),
@@ -60,7 +60,7 @@ impl From<&Error> for Fault {
 }
 
 impl Edit {
-    /// Runs it on the scene and, if it is right, on the model. Tells how it ended.
+    /// Applies the edit to the scene and, if it is valid, to the model. Returns how it ended.
     pub(crate) fn run(self, scene: &mut Scene, model: &mut Model, issued: &mut Issued) -> String {
         let fault = self.check(scene, model).err();
         let ending = self.describe(fault.as_ref());
@@ -92,14 +92,14 @@ impl Edit {
         ending
     }
 
-    /// `SetLocal` if it must succeed, `SetLocal: Stale` if not.
+    /// A label of the edit and its expected outcome: `SetLocal` for success, `SetLocal: Stale` for an error.
     fn describe(&self, fault: Option<&Fault>) -> String {
         let name = |debug: String| debug.split(['(', ' ']).next().unwrap().to_owned();
         let edit = name(format!("{self:?}"));
         fault.map_or(edit.clone(), |fault| format!("{edit}: {}", name(format!("{fault:?}"))))
     }
 
-    /// What must be wrong with it.
+    /// The error with which the edit must fail; `None` if it must succeed.
     fn check(&self, scene: &Scene, model: &Model) -> Result<(), Fault> {
         let node = |key: NodeKey| if model.nodes.contains_key(&key) { Ok(()) } else { Err(Fault::Stale(key.into())) };
         let core_key = |key| if model.cores.contains_key(&key) { Ok(()) } else { Err(Fault::Stale(key.into())) };
@@ -227,7 +227,8 @@ impl Edit {
                     model.nodes.get_mut(&key).unwrap().parent = Some(parent);
                 }
                 if keep == KeepTransform::World {
-                    // The number is the scene's to find: the caller checks that the world transform stays.
+                    // The new local transform is taken from the scene: the caller checks that the world transform stays
+                    // the same.
                     let local = Core::Transform(scene.local(key).unwrap());
                     let core = model.nodes[&key].core;
                     let shared = model.users(core).len() > 1 && model.cores[&core] != local;
@@ -291,7 +292,7 @@ fn check_source(source: &CoreSource, model: &Model) -> Result<(), Fault> {
     }
 }
 
-/// A node must not come to show itself.
+/// Instances must not form cycles.
 fn check_target(node: NodeKey, source: &CoreSource, model: &Model) -> Result<(), Fault> {
     let core = match source {
         CoreSource::New(core) => core,
@@ -339,7 +340,7 @@ fn check_texture(texture: &Texture) -> Result<(), Fault> {
     not(texture.width == 0 || texture.width * texture.height != texture.texels.len() as u32, Fault::OutOfRange)
 }
 
-/// The key of the source's core, which is in the model afterwards.
+/// The key of the source's core, which is added to the model if it is new.
 fn take_core(source: CoreSource, found: CoreKey, model: &mut Model) -> CoreKey {
     match source {
         CoreSource::Shared(key) => key,
@@ -355,7 +356,7 @@ fn detach(node: NodeKey, model: &mut Model) {
     model.nodes.get_mut(&parent).unwrap().children.retain(|&child| child != node);
 }
 
-/// Whether two worlds are the same up to rounding at the scale of what is in the model.
+/// Whether two world matrices are equal up to rounding at the scale of the model's coordinates.
 fn is_close(a: &DAffine3, b: &DAffine3, model: &Model) -> bool {
     let largest = model.nodes.keys().map(|&node| model.to_world(node, DVec3::ONE).1).fold(1.0, f64::max);
     let difference = (0..4).map(|i| (a.to_cols_array_2d()[i], b.to_cols_array_2d()[i]));

@@ -1,4 +1,4 @@
-//! Thousands of random edits of a scene and of a naive model: both must tell the same after each.
+//! Thousands of random edits are applied to a scene and to a naive model: after each, both must read the same.
 #![expect(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
 pub(super) mod compare;
@@ -21,7 +21,7 @@ use reader::Reader;
 
 const READERS: usize = 3;
 
-/// Each edit, with the errors that it can end with.
+/// Each kind of edit, with the errors that it can end with.
 const FAULTS: [(&str, &[&str]); 18] = [
     ("Add", &["Cycle", "OutOfRange", "Stale"]),
     ("AddCore", &["OutOfRange", "Stale"]),
@@ -43,7 +43,7 @@ const FAULTS: [(&str, &[&str]); 18] = [
     ("SetVisible", &["Stale"]),
 ];
 
-/// One step, from which shrinking takes edits away and makes numbers smaller.
+/// One step of a test case. Shrinking removes steps and makes their numbers smaller.
 #[derive(Clone, Debug)]
 enum Step {
     Edit(RawEdit),
@@ -77,7 +77,7 @@ fn scene_equals_model() {
     });
     outcome.unwrap_or_else(|failure| panic!("{failure}"));
 
-    // Every edit has succeeded, and failed in each way that it can.
+    // Every kind of edit has succeeded, and has failed in each way in which it can.
     let endings: Vec<String> = endings.into_inner().into_iter().collect();
     let name = |edit: &str, fault: &str| format!("{edit}: {fault}");
     let failures = |(edit, faults): &(&str, &[&str])| faults.iter().map(|fault| name(edit, fault)).collect::<Vec<_>>();

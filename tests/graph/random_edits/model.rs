@@ -1,4 +1,4 @@
-//! The naive model: maps and vectors, everything found by looking at everything.
+//! The naive model of a scene: maps and vectors, without any index; every question is answered by a search through all.
 
 use std::collections::{HashMap, HashSet};
 
@@ -26,11 +26,11 @@ pub(crate) struct Model {
     pub(crate) geometries: HashMap<GeometryKey, Geometry>,
     pub(crate) materials: HashMap<MaterialKey, Material>,
     pub(crate) textures: HashMap<TextureKey, Texture>,
-    /// What has had a user.
+    /// Objects that have had a user.
     used: HashSet<ObjectKey>,
 }
 
-/// One step of a way down.
+/// One step of a path from the root.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Step {
     pub(crate) node: NodeKey,
@@ -76,7 +76,7 @@ impl Model {
         std::iter::successors(Some(node), |node| self.nodes[node].parent).collect()
     }
 
-    /// Every way down to every node at or below the last of `chain`, by children and by instances.
+    /// Every path, by children and by instances, to the last node of `chain` and to every node below it.
     pub(crate) fn chains(&self, chain: Vec<Step>) -> Vec<Vec<Step>> {
         let node = chain.last().unwrap().node;
         let instanced = match *self.core(node) {
@@ -91,13 +91,13 @@ impl Model {
         std::iter::once(chain).chain(below).collect()
     }
 
-    /// What a chain from the root is named.
+    /// The node path of a chain from the root.
     pub(crate) fn path(chain: &[Step]) -> NodePath {
         let steps = chain.windows(2).filter(|step| step[1].instanced);
         NodePath { instances: steps.map(|step| step[0].node).collect(), node: chain.last().unwrap().node }
     }
 
-    /// The way down to a node by children only.
+    /// The path to a node by children only.
     pub(crate) fn chain(&self, node: NodeKey) -> Vec<Step> {
         self.upwards(node).into_iter().rev().map(|node| Step { node, instanced: false }).collect()
     }
@@ -127,12 +127,12 @@ impl Model {
         switch.shows(number as u32)
     }
 
-    /// Where a local point is in the world, and the largest number on the way, which rounding errors are relative to.
+    /// A local point in the world, and the largest number of the computation, to which rounding errors are relative.
     pub(crate) fn to_world(&self, node: NodeKey, point: DVec3) -> (DVec3, f64) {
         self.to_world_up(&self.upwards(node), point)
     }
 
-    /// The same on a way up.
+    /// The same for a path towards the root.
     pub(crate) fn to_world_up(&self, upwards: &[NodeKey], point: DVec3) -> (DVec3, f64) {
         let (mut point, mut magnitude) = (point, point.abs().max_element());
         for &node in upwards {
@@ -145,7 +145,7 @@ impl Model {
         (point, magnitude)
     }
 
-    /// Frees what lost its last user, until there is nothing more to free. `all` frees also what never had one.
+    /// Frees objects that lost their last user, until there are none left. With `all` also those that never had one.
     pub(crate) fn collect(&mut self, all: bool) {
         loop {
             let of_core = |core: &Core| match *core {
@@ -176,7 +176,7 @@ impl Model {
         self.cores.len() + self.geometries.len() + self.materials.len() + self.textures.len()
     }
 
-    /// What differs in `later`, object by object.
+    /// The objects whose state differs in `later`.
     pub(crate) fn changes_to(&self, later: &Self) -> Vec<(ObjectKey, Change)> {
         let mut changes = Vec::new();
         compare_maps(&self.nodes, &later.nodes, &mut changes, |old, new| {
@@ -223,7 +223,7 @@ fn compare_maps<K: Copy + Eq + std::hash::Hash + Into<ObjectKey>, V>(
     changes.extend(old.keys().filter(|key| !new.contains_key(key)).map(|&key| (key.into(), Change::REMOVED)));
 }
 
-/// The point one level up, and by how much a length can have grown.
+/// The point in the parent's space, and the greatest factor by which a length grows there.
 fn apply(transform: &Transform, point: DVec3) -> (DVec3, f64) {
     match *transform {
         Transform::Pivoted { .. } => apply(&Transform::Matrix(transform.to_affine()), point),

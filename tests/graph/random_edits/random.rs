@@ -1,4 +1,4 @@
-//! From random numbers to edits of the objects that there are, or were.
+//! From random numbers to edits of objects that exist, or existed.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -12,7 +12,7 @@ use ropewalk::{
 use super::edit::Edit;
 use super::model::Model;
 
-/// Numbers that become an edit of the objects there are.
+/// Random numbers that become an edit when there are objects to choose from.
 #[derive(Clone, Debug)]
 pub(crate) struct RawEdit {
     pub(crate) kind: u8,
@@ -26,7 +26,7 @@ pub(crate) fn raw_edit() -> impl Strategy<Value = RawEdit> {
     numbers.prop_map(|(kind, a, b, value)| RawEdit { kind, a, b, value })
 }
 
-/// All keys that the scene gave out, in that order.
+/// All keys that the scene has issued, in that order.
 pub(crate) struct Issued {
     pub(crate) nodes: Vec<NodeKey>,
     pub(crate) cores: Vec<CoreKey>,
@@ -100,7 +100,7 @@ impl Issued {
         }
     }
 
-    /// Cores are also created by the way.
+    /// Some edits create a core besides the object that they return.
     pub(crate) fn note_cores(&mut self, model: &Model) {
         let mut new: Vec<_> = model.cores.keys().copied().filter(|key| !self.cores.contains(key)).collect();
         new.sort();
@@ -108,7 +108,7 @@ impl Issued {
     }
 }
 
-/// Mostly a live key, sometimes a stale one; the null key if there is none.
+/// Mostly a live key, sometimes a stale one; the null key if there is no such key.
 fn pick<K: Copy + Default>(issued: &[K], number: u16, is_live: impl Fn(&K) -> bool) -> K {
     let (live, stale): (Vec<K>, Vec<K>) = issued.iter().copied().partition(is_live);
     let pool = if number % 32 == 31 { stale } else { live };
@@ -174,7 +174,7 @@ fn geometry(value: u8) -> Geometry {
     }
 }
 
-/// Most geometries have five vertices.
+/// An edit of positions, for the five vertices that most geometries have.
 fn set_positions(key: GeometryKey, value: u8) -> Edit {
     let x = f32::from(value % 4);
     let positions = [Vec3::ZERO, Vec3::X * x, Vec3::Y, Vec3::Z, Vec3::ONE];
@@ -189,7 +189,7 @@ fn set_positions(key: GeometryKey, value: u8) -> Edit {
 
 fn material(value: u8, base_color_texture: Option<TextureRef>) -> Material {
     let base_color = Vec4::splat([0.0, 0.5, 1.0, 1.5][usize::from(value % 4)]);
-    // The same texture twice, sometimes.
+    // Some materials use one texture twice.
     let normal_texture = base_color_texture.filter(|_| value.is_multiple_of(3));
     Material { base_color, base_color_texture, normal_texture, ..Material::default() }
 }

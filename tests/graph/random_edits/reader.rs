@@ -1,4 +1,4 @@
-//! A consumer of the change log, and what it must be told.
+//! A consumer of the change log, and which changes it must be told of.
 
 use std::collections::HashMap;
 
@@ -14,7 +14,8 @@ pub(crate) struct Reader {
 }
 
 impl Reader {
-    /// Reads, and compares with the naive log and with what differs between then and now.
+    /// Reads the change log and compares it with the naive log, and with the differences of the model since the last
+    /// read.
     pub(crate) fn read(&mut self, scene: &mut Scene, model: &Model, log: &[(ObjectKey, Change)]) {
         match (scene.changes_since(&mut self.cursor), &self.last) {
             (Changes::Everything, None) => {}
@@ -30,7 +31,7 @@ impl Reader {
     }
 }
 
-/// One entry an object: those that came say no more, those that came and went say nothing.
+/// One entry for each object: a new object has no other changes, and one that was created and removed since has none.
 fn merge(log: &[(ObjectKey, Change)]) -> HashMap<ObjectKey, Change> {
     let mut merged: HashMap<ObjectKey, Change> = HashMap::new();
     for &(object, change) in log {
@@ -46,7 +47,7 @@ fn merge(log: &[(ObjectKey, Change)]) -> HashMap<ObjectKey, Change> {
     merged
 }
 
-/// All that differs was told; whatever came or went, exactly. (What changed back was told, too.)
+/// Every difference was reported, and creations and removals exactly. A value that was changed back was reported, too.
 fn is_difference(found: &HashMap<ObjectKey, Change>, expected: &[(ObjectKey, Change)]) {
     let ends = Change::ADDED | Change::REMOVED;
     assert!(expected.iter().all(|(object, change)| found.get(object).is_some_and(|found| found.contains(*change))));

@@ -16,9 +16,9 @@ use ropewalk::{
 
 use super::{content, sample};
 
-/// A delta as anybody could have written it.
+/// A delta made from its serialized form, so that it can hold anything.
 fn forge(objects: &[(ObjectKey, Option<ObjectState>)]) -> Delta {
-    // What a delta is to serde: its objects, and no generations.
+    // The serialized form of a delta: its objects, without generations.
     let bytes = postcard::to_stdvec(&(objects, None::<()>)).unwrap();
     postcard::from_bytes(&bytes).unwrap()
 }
@@ -92,7 +92,7 @@ fn each_misfit_is_named() {
     assert!(matches!(small.refuses(&[missing]), Error::StaleKey { .. }));
     let cycle = small.with(arm, |state| node(state).parent = Some(key(hand)));
     assert_eq!(small.refuses(&[cycle]), Error::Cycle { node: key(arm), parent: key(hand) });
-    // Whatever instances the root stands below it.
+    // An instance of the root is always below the root: a cycle.
     for target in [root, key(arm), key(hand)] {
         let itself = small.with(core, |state| *state = ObjectState::Core(Core::Instance(target)));
         assert_eq!(small.refuses(&[itself]), Error::Cycle { node: target, parent: key(hand) });
@@ -110,7 +110,7 @@ fn each_misfit_is_named() {
     let first = small.with(other.into(), |state| node(state).previous_sibling = None);
     let same = small.with(arm, |_| {});
     says(small.refuses(&[same, first]), other.into(), DeltaFault::SiblingTwice);
-    // Only one of them says so: it moves to the front.
+    // Only one node claims to be the first child: it moves to the front.
     let first = small.with(other.into(), |state| node(state).previous_sibling = None);
     small.scene.apply(&forge(&[first])).unwrap();
     assert_eq!(small.scene.children(root).unwrap().collect::<Vec<_>>(), [other, key(arm)]);
@@ -159,7 +159,7 @@ fn children_change_places() {
     assert!(changes.contains(&(switch.into(), Change::CHILDREN)));
 }
 
-/// A chain of 100,000 nodes is turned upside down by one delta, and back.
+/// One delta reverses the order of a chain of 100,000 nodes, and another restores it.
 #[test]
 fn deep_and_wide() {
     const COUNT: usize = 100_000;
@@ -193,8 +193,8 @@ fn deep_and_wide() {
     assert_eq!(mirror.node_count(), 1);
 }
 
-/// Any delta between two states of a scene, with one entry changed, dropped or swapped with another: applied, the scene
-/// is valid; refused, it is untouched.
+/// A delta between two states of a scene, of which one entry is changed, dropped or swapped with another: if it is
+/// accepted, the scene is valid; if it is refused, the scene is as before.
 #[test]
 fn damaged_deltas() {
     let scene = sample();
@@ -227,7 +227,8 @@ fn damaged_deltas() {
     assert!(applied.get() > 200 && refused.get() > 200, "{applied:?} {refused:?}");
 }
 
-/// What is wrong with two entries of a delta, of one kind or not.
+/// Damages a delta by means of two of its entries: one loses its state or takes over the other's, both states are
+/// swapped, or entries are dropped.
 #[derive(Clone, Debug)]
 struct Damage(Index, Index, u8, bool);
 

@@ -1,4 +1,4 @@
-//! Scene files: what is saved comes back, and what is damaged is refused by name.
+//! Scene files: a saved scene loads as it was, and a damaged file is refused with an error that names it.
 
 use std::cell::Cell;
 use std::fs;
@@ -53,7 +53,7 @@ fn saved_loaded_and_saved_again_is_the_same() {
     assert_eq!(save(&loaded, &path), bytes);
     assert_eq!(crc32(&bytes[HEADER + FRAME_HEAD..]).to_le_bytes(), bytes[HEADER + 8..HEADER + FRAME_HEAD]);
 
-    // Keys are valid, or stale, as they were; new ones are new.
+    // Keys are valid or stale as before, and new objects get keys that were never issued.
     let keys: Vec<_> = scene.subtree(scene.root()).unwrap().collect();
     assert!(keys.iter().all(|&key| loaded.contains(key)) && !loaded.contains(gone));
     for _ in 0..100 {
@@ -91,7 +91,7 @@ fn what_is_no_scene_file_is_refused() {
         assert_eq!(fault(&load(bytes).unwrap_err(), &folder.path().join("scene.ropewalk")), expected);
     }
     assert!(matches!(load(&more), Err(Error::SceneFile { frame: 1, source: SceneFileError::Truncated, .. })));
-    // Every length.
+    // The file cut off after every length.
     for length in 0..bytes.len() {
         let error = load(&bytes[..length]).unwrap_err();
         let expected = if length < 8 { ["NotAScene", "Truncated"] } else { ["Truncated", "Truncated"] };
@@ -105,7 +105,7 @@ fn the_old_file_stays_where_saving_fails() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("no such folder").join("scene.ropewalk");
     assert!(matches!(Scene::new().save(&path), Err(Error::Io { path: named, .. }) if named == path));
-    // A folder stands where the file should go.
+    // There is a folder of the file's name.
     let path = folder.path().join("taken");
     fs::create_dir(&path).unwrap();
     assert!(matches!(Scene::new().save(&path), Err(Error::Io { .. })));
@@ -140,7 +140,7 @@ fn tampered_files() {
                 loaded.set(loaded.get() + 1);
                 let _ = scene.hierarchy();
                 scene.validate().unwrap();
-                // Not each time: saving waits for the disk.
+                // Not in each case, since saving waits for the disk.
                 if loaded.get() % 32 == 1 {
                     let again = save(&scene, &path);
                     assert!(content(&Scene::load(&path).unwrap()) == content(&scene));

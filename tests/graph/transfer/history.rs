@@ -28,7 +28,7 @@ fn groups_have_names_and_a_limit() {
     assert_eq!((scene.undo().unwrap(), scene.next_redo()), (None, Some("mask 7")));
     assert_eq!(scene.redo().unwrap().as_deref(), Some("mask 7"));
 
-    // Edits without an end are a group without a name, and end what could be redone.
+    // Edits outside of a named group form a group without a name, and discard what could be redone.
     scene.set_mask(scene.root(), 100).unwrap();
     assert_eq!((scene.next_undo(), scene.next_redo()), (Some(""), None));
     assert_eq!(scene.redo().unwrap(), None);
@@ -51,7 +51,7 @@ fn removed_objects_come_back_under_their_keys_with_their_streams() {
 
     scene.enable_undo();
     nodes.iter().for_each(|&node| scene.remove(node).unwrap());
-    // Others get the slots.
+    // Other objects reuse the slots.
     let newcomer = scene.add_geometry(Geometry::default()).unwrap();
     let others: Vec<_> = (0..3).map(|_| scene.add(scene.root(), Core::Group).unwrap()).collect();
     scene.reparent(others[0], others[1], KeepTransform::Local).unwrap();
@@ -111,7 +111,7 @@ fn a_transaction_is_part_of_its_group() {
     assert_eq!(scene.name(node).unwrap(), "good");
 }
 
-/// The flattened arrays have not seen that it went when it is back.
+/// The node is removed and restored between two updates of the hierarchy.
 #[test]
 fn an_instanced_node_goes_and_comes_back_unseen() {
     let mut scene = Scene::new();

@@ -13,12 +13,12 @@ use ropewalk::{ObjectKey, ObjectState, Scene};
 
 use super::random_edits::{model, random};
 
-/// All that a scene is, apart from which keys it gave out to objects that are gone.
+/// The whole content of a scene, except which keys removed objects had.
 fn content(scene: &Scene) -> Vec<(ObjectKey, Option<ObjectState>)> {
     scene.snapshot().objects().map(|(object, state)| (object, state.cloned())).collect()
 }
 
-/// A scene with every kind of object, some of it shared, some of it gone.
+/// A scene with every kind of object, some of them shared; others have been removed.
 fn sample() -> Scene {
     use proptest::strategy::{Strategy as _, ValueTree as _};
 

@@ -9,8 +9,9 @@ use ropewalk::{Core, EditQueue, Error, NodeKey, Scene, Transform};
 const THREADS: usize = 8;
 const BATCHES: usize = 400;
 
-/// Each thread keeps a node with a tally in its name. A batch takes from one tally and gives to another, adds a node
-/// below each, and fails half-way now and then: the sum stays, and there are as many nodes as the tallies' edits say.
+/// Each thread owns a node whose name is a counter. A batch moves 1 from one counter to another, adds a node below
+/// each, and sometimes fails half-way: the counters' sum stays the same, and the number of nodes is that of the batches
+/// that succeeded.
 #[test]
 fn batches_of_eight_threads() {
     let mut scene = Scene::new();
@@ -33,7 +34,7 @@ fn batches_of_eight_threads() {
                         change_tally(scene, from, -1)?;
                         scene.add(from, Transform::IDENTITY)?;
                         if fails {
-                            // As a batch that finds its node gone.
+                            // Fails as a batch does whose node was removed.
                             scene.remove(NodeKey::default())?;
                         }
                         let added = scene.add(to, Core::Group)?;

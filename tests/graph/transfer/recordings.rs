@@ -1,4 +1,4 @@
-//! Recordings: each frame comes back as it was, up to where the file is whole.
+//! Recordings: each frame is read back as it was, up to where the file is intact.
 
 use std::fs;
 
@@ -44,7 +44,7 @@ fn every_frame_comes_back() {
     }
     assert!(!replay.apply_next(&mut scene).unwrap());
     assert_eq!(replay.frame(), frames.len());
-    // It loads as the scene that it ends with.
+    // The whole recording loads as the scene after its last frame.
     assert_eq!(content(&Scene::load(&path).unwrap()), *frames.last().unwrap());
 }
 
@@ -69,7 +69,7 @@ fn a_cut_recording_ends_where_it_is_cut() {
             }
         };
         match ending {
-            // Cut between frames.
+            // The file cut off between two frames.
             Ok(_) => assert_eq!(replay.frame(), count),
             Err(Error::SceneFile { path: named, frame, source: SceneFileError::Truncated }) => {
                 assert_eq!((named.as_path(), frame), (path.as_path(), count));

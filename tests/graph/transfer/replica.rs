@@ -1,4 +1,4 @@
-//! A scene is edited on its thread while replicas follow on theirs: aspects, without barriers.
+//! A scene is edited on its thread while replicas on other threads follow it without waiting for each other.
 
 use std::sync::mpsc::{Receiver, channel, sync_channel};
 use std::thread;
@@ -12,7 +12,7 @@ use super::{content, sample};
 
 const FRAMES: usize = 300;
 
-/// Whatever may be shared or sent, can.
+/// Types that applications send or share between threads are `Send` and `Sync`.
 const _: () = {
     const fn is_send_and_sync<T: Send + Sync>() {}
     is_send_and_sync::<Scene>();
@@ -20,17 +20,17 @@ const _: () = {
     is_send_and_sync::<ChangeCursor>();
 };
 
-/// Edits that keep a rule: as many nodes are named "even" as "odd", whenever a frame ends.
+/// Edits that keep an invariant: at the end of each frame as many nodes are named "even" as "odd".
 fn edit(scene: &mut Scene, nodes: &mut Vec<NodeKey>, frame: usize) {
     for name in ["even", "odd"] {
         let parent = nodes[frame * 31 % nodes.len()];
         add(scene, parent, name, nodes);
     }
     let (a, b) = (nodes[frame * 17 % nodes.len()], nodes[frame * 13 % nodes.len()]);
-    // Some of these would close cycles.
+    // Some of these edits fail, since they would close a cycle.
     let _ = scene.reparent(a, b, KeepTransform::Local);
     if frame.is_multiple_of(7) {
-        // What goes is made up for.
+        // Removed nodes are replaced.
         let gone = nodes.swap_remove(1 + frame % (nodes.len() - 1));
         scene.remove(gone).unwrap();
         nodes.retain(|&node| scene.contains(node));
@@ -51,7 +51,7 @@ fn named(scene: &Scene, name: &str) -> usize {
     scene.subtree(scene.root()).unwrap().filter(|&node| scene.name(node).unwrap() == name).count()
 }
 
-/// Applies what comes, checks the rule after each frame, and gives the final content.
+/// Applies the deltas that arrive, checks the invariant after each, and returns the final content.
 fn follow(deltas: &Receiver<Delta>) -> (Scene, usize) {
     let (mut replica, mut frames) = (Scene::new(), 0);
     while let Ok(delta) = deltas.recv() {
@@ -65,7 +65,7 @@ fn follow(deltas: &Receiver<Delta>) -> (Scene, usize) {
 
 #[test]
 fn replicas_on_threads_see_whole_frames() {
-    // One that is always waited for, one that lags as it likes, and four that join late.
+    // One replica that the editor waits for, one that may lag, and four that join late.
     let mut scene = Scene::new();
     let mut nodes = vec![scene.root()];
     let mut followers = Vec::new();
@@ -101,7 +101,7 @@ fn replicas_on_threads_see_whole_frames() {
     }
 }
 
-/// What a replica shows is what the scene showed, while the scene is already another.
+/// A replica renders what the scene rendered earlier, while the scene has already changed.
 #[test]
 fn a_replica_is_drawn_while_the_scene_is_edited() {
     let options = RendererOptions::default().with_device(DeviceChoice::Cpu);

@@ -1,4 +1,4 @@
-//! Random sessions: edits, transactions, undo and redo, with mirrors, recompiles and readers of the hierarchy.
+//! Random sessions of edits, transactions, undo and redo, with mirrors, compilers and readers of the hierarchy.
 
 use std::cell::RefCell;
 use std::collections::{BTreeMap, HashSet};
@@ -21,7 +21,7 @@ const MIRRORS: usize = 2;
 #[derive(Clone, Debug)]
 enum Step {
     Edit(RawEdit),
-    /// Edits that are committed or not, the inner ones in a transaction of their own.
+    /// A transaction that is committed or rolled back, with a nested one.
     Transaction {
         outer: Vec<RawEdit>,
         inner: Vec<RawEdit>,
@@ -31,12 +31,12 @@ enum Step {
     EndGroup,
     Undo,
     Redo,
-    /// Bring a mirror up to date, through bytes or not.
+    /// Bring a mirror up to date, through serialized bytes or directly.
     Sync {
         mirror: usize,
         as_bytes: bool,
     },
-    /// Give a mirror a new cursor: it gets everything, though it is not empty.
+    /// Give a mirror a new cursor: it receives the whole scene although it is not empty.
     Restart(usize),
     /// Bring the hierarchy up to date.
     Update,
@@ -61,17 +61,17 @@ fn step() -> impl Strategy<Value = Step> {
     ]
 }
 
-/// Scene and model, with all that hangs on the scene.
+/// A scene, its model, and everything that follows the scene.
 struct Session {
     scene: Scene,
-    /// What can be undone to.
+    /// The states to which the scene can be undone.
     start: Vec<(ObjectKey, Option<ObjectState>)>,
     model: Model,
     issued: Issued,
     /// Names of groups, and what the model was before each, or after it.
     undo: Vec<(String, Model)>,
     redo: Vec<(String, Model)>,
-    /// At the last end of a group.
+    /// At the end of the last group.
     group_start: Model,
     group_count: usize,
     mirrors: [(Scene, ChangeCursor); MIRRORS],
@@ -82,7 +82,7 @@ struct Session {
 }
 
 impl Session {
-    /// With geometries and materials, or too few random edits would make something to be seen.
+    /// The scene starts with geometries and materials, since otherwise too few random edits would create visible nodes.
     fn new() -> Self {
         let mut scene = Scene::new();
         let mut model = Model::new(&scene);
@@ -140,7 +140,7 @@ impl Session {
     fn transaction(&mut self, outer: &[RawEdit], inner: &[RawEdit], keep_outer: bool, keep_inner: bool) {
         let before = (self.model.clone(), content(&self.scene));
         let (issued, model) = (&mut self.issued, &mut self.model);
-        // Whether they changed anything.
+        // Whether the edits changed anything.
         let mut run = |edits: &[RawEdit], scene: &mut Scene, model: &mut Model| {
             let revision = scene.revision();
             for raw in edits {
@@ -239,7 +239,7 @@ impl Session {
         self.compiled_instances += Canonical::of(fresh.arrays()).instance_count();
     }
 
-    /// Back to the beginning, and forth to the end.
+    /// Undoes everything, and redoes it.
     fn there_and_back(&mut self) {
         self.end_group();
         let (end, end_content) = (self.model.clone(), content(&self.scene));

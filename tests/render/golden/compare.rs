@@ -1,4 +1,4 @@
-//! Compares an image with a golden one, and keeps what is needed to see why they differ.
+//! Compares an image with a golden one. If they differ, the image and a map of the differences are written to files.
 
 use std::path::Path;
 
@@ -7,18 +7,20 @@ use ropewalk_testkit::flip::{PIXELS_PER_DEGREE, flip};
 
 /// The greatest mean of the FLIP errors. Executors on one machine differ by less than 0.0001.
 const MOST_MEAN: f32 = 0.002;
-/// The greatest 99th percentile: an error that covers more than 1 % of the image, 11 by 11 pixels, is seen.
+/// The greatest 99th percentile of the FLIP errors: an error that covers more than 1 % of the image, 11 by 11 pixels,
+/// fails.
 const MOST_99TH: f32 = 0.05;
 
 /// Compares `image` with the PNG file `golden`.
 ///
 /// # Errors
-/// Says by how much they differ, and in which files the image and its difference are kept: `run` with endings, in `failed`.
+/// How much they differ, and the files in the folder `failed` that hold the image and the map; their names start with
+/// `run`.
 pub(crate) fn compare(golden: &Path, image: &Image, failed: &Path, run: &str) -> Result<(), String> {
     let kept = [failed.join(format!("{run}.png")), failed.join(format!("{run}-flip.png"))];
     let [actual, difference] = [&kept[0], &kept[1]].map(|path| path.display().to_string());
     for path in &kept {
-        // Nothing of an earlier failure must be left.
+        // Files of an earlier failure are removed.
         let _ = std::fs::remove_file(path);
     }
     let keep = |problem: String| {
@@ -55,14 +57,14 @@ pub(crate) fn compare(golden: &Path, image: &Image, failed: &Path, run: &str) ->
 const HOW_TO_BLESS: &str =
     "If this is meant: ROPEWALK_BLESS=1 cargo test --test frames golden, and look at what it makes.";
 
-/// The smallest error that is not less than this part of all.
+/// The smallest error that is not less than this share of all errors.
 fn percentile(errors: &[f32], part: f64) -> f32 {
     let mut sorted = errors.to_vec();
     sorted.sort_by(f32::total_cmp);
     sorted[((sorted.len() - 1) as f64 * part).ceil() as usize]
 }
 
-/// Black, red, yellow, white.
+/// A color map of errors from 0 to 1: black, red, yellow, white.
 fn heat(error: f32) -> [f32; 4] {
     let ramp = |start: f32| ((error - start) * 3.0).clamp(0.0, 1.0);
     [ramp(0.0), ramp(1.0 / 3.0), ramp(2.0 / 3.0), 1.0]

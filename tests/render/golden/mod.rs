@@ -1,8 +1,9 @@
-//! Golden images: scenes of one feature each, rendered on every executor and compared with a picture that somebody looked at.
+//! Golden images: scenes of one feature each, rendered on every executor and compared with an image that a person has
+//! checked.
 //!
-//! After a change that is meant to be seen, `ROPEWALK_BLESS=1 cargo test --test frames golden` renders the pictures in `tests/render/golden`
-//! anew (on the CPU). Look at each of them before it is committed. When a comparison fails, the picture and its FLIP
-//! difference are kept in `tests/failed`.
+//! After a change that is meant to be seen, `ROPEWALK_BLESS=1 cargo test --test frames golden` renders the pictures in
+//! `tests/render/golden` anew (on the CPU). Look at each of them before it is committed. When a comparison fails, the
+//! picture and its FLIP difference are kept in `tests/failed`.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
 #[path = "../../../examples/render/builtin/mod.rs"]
@@ -15,7 +16,7 @@ use std::path::{Path, PathBuf};
 use ropewalk::image::Image;
 use ropewalk::{DeviceChoice, Renderer, RendererOptions, Result, Scene, View};
 
-/// Builds a scene and says how it is seen.
+/// Builds a scene and returns the view of it.
 type Build = fn(&mut Scene) -> Result<View>;
 
 const GOLDENS: [(&str, Build); 12] = [
@@ -33,7 +34,8 @@ const GOLDENS: [(&str, Build); 12] = [
     ("normal_texture", scenes::normal_texture),
 ];
 
-/// Rays along each side of a pixel: an edge that another driver rounds to the next ray moves a pixel by a quarter at most.
+/// Rays along each side of a pixel: where another driver rounds an edge to the other side of a ray, the pixel changes
+/// by a quarter at most.
 const SAMPLES: u32 = 2;
 const MOST_BYTES: u64 = 16 * 1024;
 
@@ -112,7 +114,7 @@ fn is_blessing() -> bool {
     std::env::var_os("ROPEWALK_BLESS").is_some()
 }
 
-/// The test script sets this where it has installed a driver.
+/// `scripts/test.sh` sets this variable: without an adapter, GPU tests then fail instead of being skipped.
 fn gpu_required() -> bool {
     std::env::var_os("ROPEWALK_REQUIRE_GPU").is_some()
 }

@@ -1,4 +1,4 @@
-//! The scenes of the golden images, each of one feature.
+//! The scenes of the golden images, each for one feature.
 
 use std::f32::consts::TAU;
 use std::f64::consts::FRAC_PI_4;
@@ -13,7 +13,7 @@ use super::builtin::{self, shapes, textures};
 const WIDTH: u32 = 128;
 const HEIGHT: u32 = 96;
 
-/// The scene of the example, smaller: it has so much detail that its file would be too large.
+/// The scene of the example, in a smaller image: it has so much detail that the file would otherwise be too large.
 pub(crate) fn builtin_scene(scene: &mut Scene) -> Result<View> {
     let camera = builtin::build(scene)?;
     let mut view = View::from_camera(scene, camera, 96, 60)?;
@@ -41,7 +41,7 @@ pub(crate) fn glass(scene: &mut Scene) -> Result<View> {
     Ok(view)
 }
 
-/// A ball between two mirrors: each level of reflection shows one image more, the last is empty.
+/// A ball between two mirrors: each level of reflection shows one more image of it, and the last shows an empty mirror.
 pub(crate) fn mirror_depth(scene: &mut Scene) -> Result<View> {
     stand_on_floor(scene, vec3(0.5, 0.45, 0.4))?;
     for (z, tint) in [(-2.0, vec3(0.9, 0.9, 0.95)), (2.6, vec3(0.95, 0.9, 0.85))] {
@@ -55,8 +55,8 @@ pub(crate) fn mirror_depth(scene: &mut Scene) -> Result<View> {
     Ok(view)
 }
 
-/// Two periods of a texture with four different corners. Columns: repeated, mirrored, clamped; turned by a texture transform.
-/// Upper row: nearest texel; lower row: bilinear.
+/// Two periods of a texture with four different corners. Columns: repeated, mirrored, clamped; turned by a texture
+/// transform. Upper row: nearest texel; lower row: bilinear.
 pub(crate) fn texture_wrap(scene: &mut Scene) -> Result<View> {
     let corner = |x: u32, y: u32| match (x / 2, y / 2) {
         _ if x == y => [255, 255, 255, 255],
@@ -122,7 +122,8 @@ pub(crate) fn alpha(scene: &mut Scene) -> Result<View> {
     Ok(look(dvec3(0.2, 1.6, 4.5), dvec3(0.15, 0.7, 0.0)))
 }
 
-/// One single-sided, unsymmetrical piece under scales of every sign, flat and smooth: none may be inside out.
+/// One single-sided, unsymmetrical mesh under scales of every combination of signs, with flat and smooth normals: none
+/// may appear inside out.
 pub(crate) fn mirrored(scene: &mut Scene) -> Result<View> {
     stand_on_floor(scene, Vec3::splat(0.5))?;
     let part = Material { double_sided: false, ..Material::diffuse(vec3(0.85, 0.45, 0.15)) };
@@ -150,7 +151,8 @@ pub(crate) fn mirrored(scene: &mut Scene) -> Result<View> {
     Ok(look(dvec3(0.8, 2.6, 4.4), dvec3(0.0, 0.4, -0.2)))
 }
 
-/// A red spot, a green point light whose range ends on the floor, and a dim blue directional one, each with shadows.
+/// A red spot light, a green point light whose range ends on the floor, and a dim blue directional light, all with
+/// shadows.
 pub(crate) fn lights(scene: &mut Scene) -> Result<View> {
     stand_on_floor(scene, Vec3::splat(0.8))?;
     for (x, z) in [(-1.4, 0.0), (0.0, -0.4), (1.4, 0.0)] {
@@ -197,7 +199,7 @@ pub(crate) fn vertex_colors(scene: &mut Scene) -> Result<View> {
     Ok(look(dvec3(0.0, 1.9, 4.0), dvec3(0.0, 0.7, 0.0)))
 }
 
-/// In the dark: what emits is seen, evenly or by texture; what is unlit is seen as it is; the rest is black.
+/// Without lights: emissive materials, with and without a texture, and unlit ones are seen; the others are black.
 pub(crate) fn emissive_unlit(scene: &mut Scene) -> Result<View> {
     let checker = checkerboard(scene, FilterMode::Nearest)?;
     let black = Material::diffuse(Vec3::ZERO);

@@ -1,4 +1,4 @@
-//! One picture, whatever draws it.
+//! All executors render the same image.
 
 use std::sync::Arc;
 
@@ -11,7 +11,7 @@ use ropewalk::{
 
 use super::scenes::{at, cube, put, put_light, sphere, square};
 
-/// Everything that a kernel can do, in one room.
+/// A scene with all features of the kernel.
 fn scene() -> Scene {
     let mut scene = Scene::new();
     let texels: Arc<[[u8; 4]]> =
@@ -126,7 +126,8 @@ fn the_gpu_draws_the_same_picture() {
     let (count, most) = differences(&a, &b);
     eprintln!("{name}: {count} of {} pixels differ, by at most {most:e}", a.color.len());
     let visible = a.color.iter().zip(&b.color).filter(|(a, b)| (0..3).any(|i| (a[i] - b[i]).abs() > 1e-3)).count();
-    // Contraction and division round differently on a GPU: a ray at an edge may take another way.
+    // A GPU may contract products and sums and rounds divisions differently, so a ray near an edge may pass on the
+    // other side.
     assert!(visible * 200 < a.color.len(), "{name}: {visible} of {} pixels differ visibly", a.color.len());
     let (a, b) = (a.aovs.unwrap(), b.aovs.unwrap());
     let ids = a.triangle.iter().zip(&b.triangle).filter(|(a, b)| a != b).count();

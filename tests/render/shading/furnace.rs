@@ -1,4 +1,4 @@
-//! The white furnace: under a uniform sky, what absorbs nothing cannot be told from it.
+//! The white furnace test: under a uniform sky, a surface that absorbs nothing has the radiance of the sky.
 
 use glam::{DAffine3, DQuat, DVec3, Vec3, Vec4};
 use ropewalk::{AlphaMode, Camera, Geometry, Material, Scene, Sky, View};
@@ -25,7 +25,7 @@ fn white_materials() -> Vec<(String, Material)> {
 fn check(name: &str, geometry: &Geometry, material: &Material, place: DAffine3, depth: u32) {
     let mut scene = Scene::new();
     put(&mut scene, geometry.clone(), material.clone(), place);
-    // A second one, so that there is something to be mirrored.
+    // A second object, so that reflections show more than the sky.
     put(&mut scene, geometry.clone(), material.clone(), at(0.7, 0.9, -1.5) * place);
     let mut view = View::look_at(DVec3::new(0.5, 0.8, 4.0), DVec3::ZERO, DVec3::Y, Camera::default(), 24, 24);
     view.sky = Sky::uniform(Vec3::ONE);

@@ -1,4 +1,4 @@
-//! Direct light against glTF's formulas in f64, and shadows.
+//! Direct light compared with glTF's formulas in f64, and shadows.
 
 use std::sync::Arc;
 
@@ -7,8 +7,8 @@ use ropewalk::{AlphaMode, Geometry, LightKind, Material, Scene};
 
 use super::scenes::{at, black, cube, front, middle, put, put_light, render, square};
 
-/// What a dielectric of ior 1.5, roughness 1 and this base colour reflects straight up (+Z) of light from an angle to it, times
-/// the cosine: appendix B of glTF 2.0.
+/// What a dielectric of ior 1.5, roughness 1 and this base colour reflects straight up (+Z) of light from an angle to
+/// it, times the cosine: appendix B of glTF 2.0.
 fn rough_dielectric(base_color: f64, cosine: f64) -> f64 {
     let half_way = ((1.0 + cosine) * 0.5).sqrt();
     let fresnel = 0.04 + 0.96 * (1.0 - half_way).powi(5);
@@ -58,7 +58,7 @@ fn a_tilted_shading_normal_lets_no_light_round_the_surface() {
     }
 }
 
-/// What is left of the light on a floor below a screen of this material.
+/// The share of the light that reaches a floor below a screen of this material.
 fn left_below(screen: Material) -> Vec3 {
     left_below_shape(&square(0.5), screen)
 }
@@ -67,7 +67,7 @@ fn left_below_shape(shape: &Geometry, screen: Material) -> Vec3 {
     let lit = |screen: Option<Material>| {
         let mut scene = Scene::new();
         put(&mut scene, square(1.0), Material::default(), DAffine3::IDENTITY);
-        // Off the line of sight, on the way of the light.
+        // Between the light and the floor, but outside of the view.
         if let Some(material) = screen {
             put(&mut scene, shape.clone(), material, at(2.0, 0.0, 2.0));
         }

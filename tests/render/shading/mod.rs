@@ -1,4 +1,4 @@
-//! What surfaces look like, from the outside: rendered scenes against closed forms.
+//! Shading: rendered scenes compared with closed forms.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 #![allow(unreachable_pub, reason = "support modules serve several tests")]
 

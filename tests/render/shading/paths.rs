@@ -1,4 +1,4 @@
-//! Reflection and refraction against closed forms and an analytic ray tracer in f64.
+//! Reflection and refraction compared with closed forms and with an analytic ray tracer in f64.
 
 use glam::{DAffine3, DVec3, Vec3, Vec4};
 use ropewalk::{AlphaMode, Camera, Material, Scene, Sky, View};
@@ -48,7 +48,8 @@ fn panes_do_not_bend_light() {
     let pane = Material { base_color: Vec4::new(0.5, 1.0, 0.25, 1.0), ..Material::glass(1.5) };
     put(&mut scene, square(2.0), pane, DAffine3::from_rotation_y(1.0));
     let sky = Sky { up: Vec3::Z, zenith: Vec3::ZERO, horizon: Vec3::ZERO, ground: Vec3::ONE };
-    // From both sides: straight ahead there is 1, tinted once, less one reflection, which sees the sky -cos(2) below its horizon.
+    // From both sides: straight ahead there is 1, tinted once, less one reflection, which sees the sky -cos(2) below
+    // its horizon.
     for (eye, up) in [(DVec3::Z * 4.0, Vec3::Z), (DVec3::Z * -4.0, Vec3::NEG_Z)] {
         let camera = Camera::orthographic(0.1, 0.1);
         let mut view = View::look_at(eye, DVec3::ZERO, DVec3::Y, camera, 1, 1);
@@ -71,7 +72,8 @@ fn glass_cubes_shift_what_is_behind_without_turning_it() {
     view.max_depth = 2;
     let found = f64::from(render(&mut scene, &view).color[0][0]);
     let reflectance = fresnel(0.3f64.cos(), 1.0 / 1.5);
-    // The first reflection sees the sky above, the light reflected inside leaves sideways: depth 2 sees the sky in place of it.
+    // The first reflection sees the sky above, the light reflected inside leaves sideways: depth 2 sees the sky in
+    // place of it.
     let straight = (1.0 - reflectance) * (1.0 - reflectance);
     assert!(found >= straight - 1e-5, "{found}, at least {straight}");
     assert!(found < straight + 2.0 * reflectance, "{found}, {straight} and a little");
@@ -88,7 +90,7 @@ fn fresnel(cosine: f64, eta: f64) -> f64 {
     (s * s + p * p) * 0.5
 }
 
-/// A unit sphere of glass under a sky, by recursion.
+/// The radiance along a ray that may hit a unit sphere of glass under a sky, computed recursively.
 struct GlassBall {
     ior: f64,
     tint: DVec3,

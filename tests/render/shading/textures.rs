@@ -1,4 +1,4 @@
-//! Textures as they lie on surfaces, and normal textures as they bend light.
+//! How textures lie on surfaces, and how normal textures change shading.
 
 use std::sync::Arc;
 
@@ -60,7 +60,8 @@ fn vertex_colors_are_mixed_by_weight() {
     let mut geometry = square(1.0);
     geometry.colors = Some(Arc::new([Vec3::X, Vec3::Y, Vec3::Z, Vec3::ONE].map(|c| c.extend(1.0))));
     put(&mut scene, geometry, Material { unlit: true, ..Material::default() }, DAffine3::IDENTITY);
-    // The upper left pixel lies on the diagonal, 3/4 of the way from corner 2 to corner 0; the lower left one in its triangle.
+    // The upper left pixel lies on the diagonal, 3/4 of the way from corner 2 to corner 0; the lower left one in its
+    // triangle.
     let [upper_left, _, lower_left, _] = quarters(&mut scene);
     assert!((upper_left - Vec3::new(0.75, 0.0, 0.25)).abs().max_element() < 1e-5, "{upper_left}");
     assert!((lower_left - Vec3::new(0.25, 0.5, 0.25)).abs().max_element() < 1e-5, "{lower_left}");
@@ -87,13 +88,13 @@ fn normal_textures_bend_towards_the_images_right_and_top() {
         flipped.tex_coords[0].iter().flat_map(|set| set.iter()).map(|uv| Vec2::new(1.0 - uv.x, uv.y)).collect();
     flipped.tex_coords[0] = Some(coordinates.into());
     let (right, up) = (Vec3::new(0.5, 0.0, 1.0), Vec3::new(0.0, 0.5, 1.0));
-    // Which way in the world the image's right and top point.
+    // The world directions of the image's right and top.
     let cases = [
         ("plain", square(1.0), plain, DVec3::X, DVec3::Y),
         ("a quarter turn", square(1.0), turned, DVec3::Y, DVec3::NEG_X),
         ("mirrored by its transform", square(1.0), mirrored, DVec3::NEG_X, DVec3::Y),
         ("mirrored by its coordinates", flipped, plain, DVec3::NEG_X, DVec3::Y),
-        // Seen from behind, the whole normal is turned round.
+        // Seen from behind, the shading normal is reversed.
         ("from behind", square(1.0), behind, DVec3::X, DVec3::NEG_Y),
     ];
     for (name, geometry, place, image_right, image_top) in cases {

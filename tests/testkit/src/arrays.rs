@@ -12,7 +12,7 @@ use ropewalk::math::Aabb;
 
 use super::Mesh;
 
-/// A mesh in the world.
+/// An instance of a mesh.
 #[derive(Clone)]
 pub struct Placed {
     /// Index into the meshes.
@@ -28,10 +28,10 @@ impl Placed {
     }
 }
 
-/// What makes the bottom levels.
+/// The builder of bottom-level structures.
 #[derive(Clone, Copy, Debug)]
 pub enum Builder {
-    /// Splits at the median: simple enough to trust.
+    /// Splits at the median, in code so simple that it can be trusted.
     Median,
     /// [`Blas::build`].
     Product,
@@ -41,12 +41,12 @@ impl Builder {
     pub const BOTH: [Self; 2] = [Self::Median, Self::Product];
 }
 
-/// The arrays of `placed` in their order, made without the product's builders.
+/// The device arrays of the instances `placed`, in their order, made without the library's builders.
 pub fn arrays(meshes: &[Mesh], placed: &[Placed]) -> DeviceArrays {
     arrays_by(Builder::Median, meshes, placed)
 }
 
-/// The arrays of `placed` in their order.
+/// The device arrays of the instances `placed`, in their order.
 pub fn arrays_by(builder: Builder, meshes: &[Mesh], placed: &[Placed]) -> DeviceArrays {
     let mut arrays = DeviceArrays::default();
     let (mut nodes, mut wide_nodes, mut triangles) = (Vec::new(), Vec::new(), Vec::new());
@@ -80,14 +80,14 @@ pub fn arrays_by(builder: Builder, meshes: &[Mesh], placed: &[Placed]) -> Device
     arrays
 }
 
-/// A bottom level; without wide nodes, where it is only walked along escape indices.
+/// A bottom-level structure. If it has no wide nodes, it is traversed along escape indices.
 struct Parts {
     nodes: Vec<Node>,
     wide_nodes: Vec<WideNode>,
     triangles: Vec<Triangle>,
 }
 
-/// Matt, opaque, without textures.
+/// A diffuse, opaque material without textures.
 fn gray() -> MaterialRecord {
     let mut material = MaterialRecord::zeroed();
     material.base_color = [0.5, 0.5, 0.5, 1.0];
@@ -144,13 +144,14 @@ fn world_box(mesh: &Mesh, world_from_local: &DAffine3) -> Aabb {
     padded(Aabb::from_points(mesh.positions.iter().map(world)))
 }
 
-/// Some ulp of the largest coordinate outward.
+/// The box enlarged by a few ulps of its largest coordinate.
 fn padded(aabb: Aabb) -> Aabb {
     let pad = aabb.min.abs().max(aabb.max.abs()).max_element() * f32::EPSILON * 4.0;
     Aabb { min: aabb.min - pad, max: aabb.max + pad }
 }
 
-/// The primitives in leaf order, and the nodes.
+/// Builds a hierarchy of median splits over the boxes. Returns the primitives in the order of the leaves, and the
+/// nodes.
 fn hierarchy(boxes: &[Aabb], leaf_size: usize) -> (Vec<u32>, Vec<Node>) {
     let mut order: Vec<u32> = (0..boxes.len() as u32).collect();
     let mut nodes = Vec::new();
@@ -164,7 +165,8 @@ fn hierarchy(boxes: &[Aabb], leaf_size: usize) -> (Vec<u32>, Vec<Node>) {
     (order, nodes)
 }
 
-/// Appends the subtree of `order`, which starts at `first` in the whole; as deep as the logarithm of its length.
+/// Appends the nodes over `order`, a part of the order of leaves that starts at index `first`. The recursion is as deep
+/// as the logarithm of its length.
 fn split(boxes: &[Aabb], order: &mut [u32], first: u32, leaf_size: usize, nodes: &mut Vec<Node>) {
     let bounds = order.iter().fold(Aabb::EMPTY, |b, &i| b.union(boxes[i as usize]));
     let bounds = padded(bounds);

@@ -1,4 +1,4 @@
-//! Compiled scenes in canonical order: the same scene gives the same value however its arrays came about.
+//! A canonical form of compiled scenes: the same scene has the same form, whatever edits its arrays were compiled from.
 
 use std::collections::{HashMap, HashSet};
 
@@ -9,25 +9,26 @@ use ropewalk::device::layout::{
     WideNode,
 };
 
-/// Everything that a kernel can reach in some arrays, with places replaced by contents. Compares bit by bit.
+/// Everything that a kernel can reach in device arrays, with indices replaced by what they refer to. Compared bit by
+/// bit.
 #[derive(Debug, PartialEq)]
 pub struct Canonical {
-    /// What the leaves of the top level hold, sorted; the hierarchy above them is not compared.
+    /// The instances in the leaves of the TLAS, sorted; the nodes above them are not compared.
     instances: Vec<CanonicalInstance>,
     /// Sorted.
     lights: Vec<Vec<u8>>,
-    /// What no structure may be.
+    /// The first invariant that is violated, if any.
     fault: Option<String>,
 }
 
 #[derive(Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct CanonicalInstance {
-    /// The record without its indices.
+    /// The instance record without its indices.
     record: Vec<u8>,
-    /// The box of its leaf, and the bottom-level nodes; empty where only what they hold counts.
+    /// The box of the TLAS leaf, and the bottom-level nodes; both empty in forms that leave structures out.
     bounds: Vec<u8>,
     blas_nodes: Vec<u8>,
-    /// In leaf order or, where only what the structure holds counts, in that of the geometry, each once.
+    /// In the order of leaves or, in forms that leave structures out, in that of the geometry, without duplicates.
     triangles: Vec<u8>,
     /// Indices and streams of the geometry, one after the other.
     streams: Vec<Vec<u8>>,
@@ -36,12 +37,12 @@ struct CanonicalInstance {
 }
 
 impl Canonical {
-    /// The canonical form of compiled arrays, whatever structures there are above the triangles: those must be sound.
+    /// The canonical form of compiled arrays. Structures above the triangles are left out, but checked.
     pub fn of(arrays: &DeviceArrays) -> Self {
         Self::new(arrays, false)
     }
 
-    /// The same with all bottom-level structures, node for node, and the boxes of instances.
+    /// The same with all nodes of bottom-level structures and the boxes of instances.
     pub fn exactly(arrays: &DeviceArrays) -> Self {
         Self::new(arrays, true)
     }
@@ -107,7 +108,7 @@ fn canonical_instance(arrays: &DeviceArrays, instance: &InstanceRecord, leaf: &N
         material.transmission_texture,
         material.normal_texture,
     ];
-    // Whether triangles repeat is a matter of the structure.
+    // Whether there are duplicate triangles depends on the structure.
     let flags = if exact { instance.flags } else { instance.flags & !InstanceFlags::HAS_DUPLICATES.bits() };
     let record = InstanceRecord { first_node: 0, first_triangle: 0, geometry: 0, material: 0, flags, ..*instance };
     let mut material = material;
@@ -138,8 +139,8 @@ fn structure<'a>(arrays: &'a DeviceArrays, instance: &InstanceRecord) -> (&'a [N
     (nodes, &arrays.triangles[instance.first_triangle as usize..][..triangle_count])
 }
 
-/// A bottom-level structure in which some ray would not find a triangle, or an instance whose box is not around it or larger
-/// than that of its turned local box.
+/// The first fault of the arrays: a structure in which some ray would miss a triangle, or an instance whose box does
+/// not contain it, or is larger than the world box of its local box.
 fn fault(arrays: &DeviceArrays) -> Option<String> {
     let leaves = arrays.tlas_nodes.iter().filter(|node| node.primitives.primitive_count() > 0);
     leaves.filter_map(|leaf| Some((leaf, arrays.instances.get(leaf.primitives.first_primitive() as usize)?))).find_map(
@@ -183,7 +184,7 @@ fn fault(arrays: &DeviceArrays) -> Option<String> {
     )
 }
 
-/// A leaf: all boxes that a ray must meet to come to its triangles, and these.
+/// The boxes that a ray must enter to reach a leaf, and the leaf's triangles.
 type Leaf<'a> = (Vec<(DVec3, DVec3)>, &'a [Triangle]);
 
 /// The leaves of a hierarchy of wide nodes.
@@ -234,8 +235,8 @@ fn rope_leaves<'a>(nodes: &[Node], triangles: &'a [Triangle]) -> Option<Vec<Leaf
     Some(leaves)
 }
 
-/// A triangle that some ray would not come to: one that is in no leaf, or whose corners stick out of its leaf or, if it is in several,
-/// one of which some point is in none of them.
+/// A triangle that some ray would not reach: one in no leaf, or of which a point (a corner, the middle of an edge or
+/// the centroid) is within the boxes of none of its leaves.
 fn lost_triangle(leaves: &[Leaf<'_>], triangles: &[Triangle]) -> Option<u32> {
     let mut places: HashMap<u32, Vec<&[(DVec3, DVec3)]>> = HashMap::new();
     for (around, held) in leaves {

@@ -1,8 +1,8 @@
-//! Where the real scenes are: in the folder that `ROPEWALK_SCENES` names.
+//! The sample scenes, in the folder that the variable `ROPEWALK_SCENES` names.
 
 use std::path::{Path, PathBuf};
 
-/// The folder, or nothing (said on standard error) where the variable is not set.
+/// The folder; `None`, with a message on standard error, if the variable is not set.
 pub fn scenes(test: &str) -> Option<PathBuf> {
     let folder = std::env::var_os("ROPEWALK_SCENES").map(PathBuf::from);
     if folder.is_none() {

@@ -1,8 +1,8 @@
-//! How different two images look.
+//! FLIP: how different two images look to a person.
 
 use glam::{Mat3, Vec3};
 
-/// What [`flip`] assumes of the viewer by default: a 4K monitor, 0.7 m wide, at 0.7 m.
+/// The usual viewing conditions for [`flip`]: a monitor 3840 pixels and 0.7 m wide, seen from 0.7 m.
 pub const PIXELS_PER_DEGREE: f32 = 67.0;
 
 /// The difference, 0 to 1 a pixel, that a person sees when two sRGB images are shown in turn at the same place.
@@ -12,8 +12,8 @@ pub const PIXELS_PER_DEGREE: f32 = 67.0;
 /// HPG 2020; filters separated as in the authors' own program.
 ///
 /// # Errors
-/// Where the images differ in size, are not whole rows of `width` pixels, or have no pixels, or `pixels_per_degree` is not between
-/// 1 and 1000.
+/// Where the images differ in size, are not whole rows of `width` pixels, or have no pixels, or `pixels_per_degree` is
+/// not between 1 and 1000.
 pub fn flip(width: u32, reference: &[[u8; 4]], test: &[[u8; 4]], pixels_per_degree: f32) -> Result<Vec<f32>, String> {
     if reference.len() != test.len() {
         return Err(format!("{} pixels cannot be compared with {}", test.len(), reference.len()));
@@ -67,8 +67,8 @@ impl YcxczImage {
     }
 }
 
-/// 1. What the eye resolves at this distance: each opponent plane blurred by its contrast sensitivity, then to L*a*b*,
-///    with chroma weighted by lightness (the Hunt effect). Section 4.1.
+/// 1. What the eye resolves at this distance: each opponent plane is filtered by its contrast sensitivity and converted
+///    to L*a*b*, with chroma weighted by lightness (the Hunt effect). Section 4.1.
 fn perceived_lab(image: &YcxczImage, pixels_per_degree: f32) -> Vec<Vec3> {
     // Scales of the sensitivity functions, in degrees squared: the widest gives the filters' common radius.
     const LUMINANCE: f32 = 0.0047;
@@ -118,7 +118,7 @@ fn hunt_lab(linear: Vec3) -> Vec3 {
 /// 2. The distance of two colours, 0 to 1, with large distances compressed. Section 4.1.3.
 fn color_difference(a: Vec3, b: Vec3) -> f32 {
     const EXPONENT: f32 = 0.7;
-    /// This part of the greatest distance is mapped to `CUT_TO`, the rest to what remains.
+    /// This share of the greatest distance is mapped to the range up to `CUT_TO`, the rest to that up to 1.
     const COMPRESSION_START: f32 = 0.4;
     const CUT_TO: f32 = 0.95;
 
@@ -128,7 +128,7 @@ fn color_difference(a: Vec3, b: Vec3) -> f32 {
     if distance < cut { distance * CUT_TO / cut } else { CUT_TO + (distance - cut) / (greatest - cut) * (1.0 - CUT_TO) }
 }
 
-/// 3. How much of an edge and of a point each pixel is. Section 4.2.
+/// 3. The strength of edges and of points at each pixel. Section 4.2.
 fn features(image: &YcxczImage, pixels_per_degree: f32) -> Vec<[f32; 2]> {
     /// Width of an edge that the eye detects, in degrees.
     const FEATURE_WIDTH: f32 = 0.082;
@@ -149,13 +149,13 @@ fn features(image: &YcxczImage, pixels_per_degree: f32) -> Vec<[f32; 2]> {
     magnitude(&first).into_iter().zip(magnitude(&second)).map(|(edge, point)| [edge, point]).collect()
 }
 
-/// 4. How much more one image has of an edge or a point here. Section 4.2.
+/// 4. The difference of the strength of edges and points in two images at a pixel. Section 4.2.
 fn feature_difference(a: [f32; 2], b: [f32; 2]) -> f32 {
     let greatest = (a[0] - b[0]).abs().max((a[1] - b[1]).abs());
     (greatest * std::f32::consts::FRAC_1_SQRT_2).sqrt()
 }
 
-/// Samples a function at the whole numbers from `-radius` to `radius`.
+/// Samples a function at the integers from `-radius` to `radius`.
 fn kernel(radius: f32, weight: impl Fn(f32) -> f32) -> Vec<f32> {
     let radius = radius as i32;
     (-radius..=radius).map(|x| weight(x as f32)).collect()
@@ -174,7 +174,8 @@ fn normalized_by_sign(kernel: Vec<f32>) -> Vec<f32> {
     kernel.into_iter().map(|w| if w > 0.0 { w / positive } else { -w / negative }).collect()
 }
 
-/// Convolves rows by one kernel and columns by another; beyond its edges the image goes on as at them.
+/// Convolves rows with one kernel and columns with another. Beyond its borders, the image continues with the border's
+/// values.
 fn convolve(plane: &Plane, width: usize, along_x: &[f32], along_y: &[f32]) -> Plane {
     let height = plane.len() / width;
     let clamped = |position: usize, offset: usize, kernel: &[f32], len: usize| {
@@ -215,7 +216,8 @@ mod tests {
         (0..36).flat_map(|y| (0..WIDTH).map(move |x| pixel(x, y))).collect()
     }
 
-    /// Pixels of the same pairs of images compared by the authors' C++ program (as packaged by the crate nv-flip 0.1.2).
+    /// Pixels of the same pairs of images compared by the authors' C++ program (as packaged by the crate nv-flip
+    /// 0.1.2).
     #[track_caller]
     fn assert_like_the_authors(test: &[[u8; 4]], pixels_per_degree: f32, mean: f32, samples: [(usize, f32); 3]) {
         let errors = flip(WIDTH, &pattern(), test, pixels_per_degree).unwrap();

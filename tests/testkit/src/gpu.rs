@@ -1,5 +1,5 @@
-//! The GPU for tests: any adapter will do, a software one too. Where there is none a test is skipped and says so; under
-//! `ROPEWALK_REQUIRE_GPU` (set by `scripts/test.sh`) it fails.
+//! The GPU for tests, on any adapter, a software renderer included. Without an adapter, tests are skipped with a
+//! message; if the variable `ROPEWALK_REQUIRE_GPU` is set, as by `scripts/test.sh`, they fail.
 
 use ropewalk::Result;
 use ropewalk::trace::gpu::{AdapterKinds, GpuOptions, GpuTracer};
@@ -9,7 +9,7 @@ pub fn tracer() -> Option<GpuTracer> {
     usable(GpuTracer::new(&GpuOptions::default().with_adapters(AdapterKinds::IncludingSoftware)))
 }
 
-/// What the GPU gave, or `None` where the test is to be skipped for want of one.
+/// The value of a GPU call, or `None` where the test is to be skipped because there is no GPU.
 pub fn usable<T>(outcome: Result<T>) -> Option<T> {
     match outcome {
         Ok(value) => Some(value),

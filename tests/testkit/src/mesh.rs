@@ -15,7 +15,8 @@ pub struct Mesh {
 }
 
 impl Mesh {
-    /// A closed sphere of radius 1: an icosahedron whose faces are split in four `subdivisions` times; 20 * 4^n triangles.
+    /// A closed sphere of radius 1: an icosahedron whose faces are split in four `subdivisions` times; 20 * 4^n
+    /// triangles.
     pub fn icosphere(subdivisions: u32) -> Self {
         let g = (1.0 + 5f32.sqrt()) / 2.0;
         #[rustfmt::skip]
@@ -47,7 +48,8 @@ impl Mesh {
         Self { positions, indices }
     }
 
-    /// An icosphere whose vertices are moved along their radius by a rough noise; still closed, and star-shaped about 0.
+    /// An icosphere whose vertices are moved along their radius by noise. It is closed, and star-shaped about the
+    /// origin.
     pub fn displaced_icosphere(subdivisions: u32) -> Self {
         let mut mesh = Self::icosphere(subdivisions);
         let mut random = Random::new(7);

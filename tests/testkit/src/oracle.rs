@@ -1,23 +1,23 @@
-//! The closest hit by brute force in f64, with what f32 arithmetic may do to it.
+//! The closest hit by brute force in f64, with bounds of the errors that a kernel may make in f32.
 
 use glam::{DMat3, DVec3};
 use ropewalk::device::DeviceArrays;
 use ropewalk::device::layout::{HitRecord, InstanceFlags, InstanceRecord, NONE, RayRecord, Triangle};
 
-/// The relative error of one operation: WGSL lets each round either way.
+/// The relative error of one operation in f32: WGSL allows rounding up or down.
 const ROUNDING: f64 = 1.0 / (1 << 23) as f64;
 /// The kernel's tolerances of corners and edge functions.
 const CORNER_TOLERANCE: f64 = 1.0 / (1 << 22) as f64;
 const EDGE_TOLERANCE: f64 = 1.0 / (1 << 21) as f64;
 
-/// What f64 says of a ray and a triangle.
+/// The intersection of a ray and a triangle in f64.
 pub struct Candidate {
     pub instance: u32,
     pub primitive: u32,
-    /// How sure it is that the ray meets the triangle.
+    /// Whether the ray hits the triangle, if that is certain.
     pub verdict: Verdict,
     pub t: f64,
-    /// How far f32 may be off `t`.
+    /// The greatest error of `t` in f32.
     pub t_error: f64,
 }
 
@@ -29,20 +29,20 @@ pub enum Verdict {
     Tie,
 }
 
-/// Where the kernel's answer contradicts f64.
+/// A contradiction between the kernel's answer and f64.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Fault {
-    /// It missed, but something is surely hit.
+    /// The kernel reported a miss, but a triangle is certainly hit.
     FalseMiss,
-    /// It hit what is surely missed, or culled, or masked out.
+    /// The kernel reported a triangle that is certainly missed, or culled, or masked out.
     FalseHit,
-    /// Something else is surely hit, surely nearer.
+    /// Another triangle is certainly hit, and certainly nearer.
     WrongTriangle,
-    /// It hit the right triangle at a wrong distance.
+    /// The kernel reported the right triangle at a wrong distance.
     WrongDistance,
 }
 
-/// The ray in an instance, in f64, and bounds of what f32 makes of it.
+/// The ray in an instance's space in f64, with bounds of its errors in f32.
 struct LocalRay {
     origin: DVec3,
     direction: DVec3,
@@ -53,7 +53,7 @@ struct LocalRay {
     direction_error: f64,
 }
 
-/// All triangles that the ray meets or may meet, from `t_min` to `t_max`, each with its share of error.
+/// All triangles that the ray hits or may hit from `t_min` to `t_max`, each with the bound of its error.
 pub fn candidates(arrays: &DeviceArrays, ray: &RayRecord, ray_mask: u32) -> Vec<Candidate> {
     let mut found = Vec::new();
     for (index, instance) in (0..).zip(arrays.instances.iter()) {
@@ -73,7 +73,7 @@ pub fn candidates(arrays: &DeviceArrays, ray: &RayRecord, ray_mask: u32) -> Vec<
     found
 }
 
-/// Whether the ray meets the candidate within its interval, whatever is rounded.
+/// Whether the ray hits the candidate within its interval however the computation is rounded.
 pub fn is_sure(candidate: &Candidate, ray: &RayRecord) -> bool {
     candidate.verdict == Verdict::Hit
         && candidate.t - candidate.t_error >= f64::from(ray.t_min)
@@ -159,7 +159,7 @@ impl LocalRay {
         let verdict = if least > edge_error { Verdict::Hit } else { Verdict::Tie };
         let [a, b, c] = ts;
         let (first, last) = (a.min(b).min(c), a.max(b).max(c));
-        // A triangle seen edge on has no area to speak of: t is somewhere along it.
+        // A triangle seen edge on: t may be anywhere between those of its corners.
         let weighted = (weights[0] * a + weights[1] * b + weights[2] * c) / area;
         let t = if weighted.is_finite() { weighted.clamp(first, last) } else { first };
         let weight_error = (6.0 * (edge_error + tolerance) / area.abs()).min(1.0);

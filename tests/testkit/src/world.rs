@@ -10,7 +10,7 @@ use ropewalk::{
     Material, MaterialKey, NodeKey, Quality, Scene, Switch, Texture, TextureKey, TextureRef, Transform,
 };
 
-/// One random edit; numbers choose among what there is.
+/// One random edit. Its numbers select from the objects that exist when it is applied.
 #[derive(Clone, Debug)]
 pub enum Edit {
     Insert(usize, usize, usize),
@@ -50,7 +50,7 @@ pub fn edit() -> impl Strategy<Value = Edit> {
     ]
 }
 
-/// The same, and geometries that change: mostly, they deform.
+/// The same edits, and changes of geometries, most of which are deformations.
 pub fn edit_with_geometries() -> impl Strategy<Value = Edit> {
     let n = 0usize..64;
     prop_oneof![
@@ -61,7 +61,7 @@ pub fn edit_with_geometries() -> impl Strategy<Value = Edit> {
     ]
 }
 
-/// A scene and the keys to edit it by; stale keys are asked for again.
+/// A scene, and keys of objects to edit. Stale keys are replaced by those of new objects.
 pub struct World {
     pub scene: Scene,
     pub nodes: Vec<NodeKey>,
@@ -77,7 +77,7 @@ impl World {
         Self { scene, nodes, geometries: Vec::new(), materials: Vec::new(), textures: Vec::new() }
     }
 
-    /// A little of everything.
+    /// Adds a few objects of each kind.
     pub fn populate(&mut self) {
         for i in 0..12 {
             self.apply(&Edit::Insert(i / 2, i, i));
@@ -105,13 +105,13 @@ impl World {
             Edit::Share(parent, source) => {
                 let (parent, source) = (self.node(parent), self.node(source));
                 let core = self.scene.core_key(source).unwrap();
-                // An instance must not show itself.
+                // Instances must not form cycles.
                 self.nodes.extend(self.scene.add(parent, core).ok());
             }
             Edit::Move(node, x, y) => {
                 let node = self.node(node);
                 let place = Transform::from_translation(DVec3::new(f64::from(x), f64::from(y), 1.0) / 8.0);
-                // The root and geometry nodes have no transform: an error that leaves the scene as it was.
+                // The root and geometry nodes have no transform: the call fails and leaves the scene as it was.
                 let _ = self.scene.set_local(node, place);
             }
             Edit::Scale(node, scale) => {
@@ -178,7 +178,7 @@ impl World {
         }
     }
 
-    /// Nodes may have gone.
+    /// Forgets the keys of removed nodes.
     pub fn forget_stale_keys(&mut self) {
         let scene = &self.scene;
         self.nodes.retain(|&node| scene.contains(node));
@@ -214,7 +214,7 @@ impl World {
         Core::Geometry { geometry: self.geometry(geometry), material: self.material(material) }
     }
 
-    /// One of four geometries, made again where it was freed.
+    /// One of four geometries, added again if it was freed.
     fn geometry(&mut self, i: usize) -> GeometryKey {
         let scene = &self.scene;
         self.geometries.retain(|&key| scene.geometry(key).is_ok());
@@ -297,7 +297,8 @@ fn sphere(radius: f32) -> Geometry {
     Geometry::new((0..143).map(point).collect::<Vec<_>>(), triangles.collect::<Vec<_>>())
 }
 
-/// Waves, mostly. Some pinch a triangle, some tear all triangles apart.
+/// Positions displaced by a wave. For some values two corners of a triangle become equal, for others triangles grow
+/// very large.
 fn deformed(positions: &[Vec3], value: u8) -> Vec<Vec3> {
     let phase = f32::from(value) * 0.1;
     let wave = |p: &Vec3| *p + 0.1 * Vec3::new((p.y * 3.0 + phase).sin(), (p.z * 2.0 + phase).cos(), phase.sin());

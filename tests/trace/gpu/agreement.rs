@@ -8,12 +8,12 @@ use ropewalk_testkit::Random;
 use ropewalk_testkit::gpu::tracer;
 
 /// Two executors may name different triangles for a ray only where both hits are this near, relative to their distance:
-/// GPUs may contract products into fused ones and divide to 2.5 ulp, which moves a distance by a few ulp (2^-23 each) of the
-/// coordinates it is computed from.
+/// GPUs may contract products into fused ones and divide to 2.5 ulp, which moves a distance by a few ulp (2^-23 each)
+/// of the coordinates it is computed from.
 const TIE_BAND: f32 = 1.0 / (1 << 18) as f32;
 
-/// A ray that one executor lets pass an edge that another has it hit. Edge tests have a relative tolerance that swallows
-/// rounding, so such rays must be rarer than this.
+/// The greatest share of rays that pass an edge on one executor and hit it on another. Edge tests have a relative
+/// tolerance that is larger than rounding errors, so such rays are rare.
 const MOST_AT_EDGES: f64 = 1e-4;
 
 #[test]

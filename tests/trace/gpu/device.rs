@@ -1,4 +1,4 @@
-//! Which devices are taken, and what is said of those that are not.
+//! Which devices are accepted, and the errors for those that are not.
 
 use ropewalk::Error;
 use ropewalk::error::Resource;
@@ -60,7 +60,7 @@ fn a_device_with_too_low_limits_is_refused_by_the_limit() {
 
 #[test]
 fn no_more_workgroups_are_demanded_than_are_dispatched() {
-    // What the largest batch and a texture 8192 wide take.
+    // The limits that the largest batch and a texture 8192 texels wide need.
     let enough = |limits: &mut wgpu::Limits| {
         limits.max_texture_dimension_2d = 8192;
         limits.max_compute_workgroups_per_dimension = 4096;

@@ -1,4 +1,4 @@
-//! Devices that are lost and memory that is used up: what is said, and how it goes on.
+//! Lost devices and exhausted memory: the errors, and how rendering recovers.
 
 use glam::{DVec3, Vec3};
 use ropewalk::trace::gpu::{GpuTracer, required_limits};
@@ -40,7 +40,7 @@ fn a_renderer_opens_its_device_again_and_uploads_everything_but_builds_nothing()
     let expected = first.image().unwrap();
     assert!(expected.color.iter().any(|color| color[0] > 2.0 * color[2]), "the triangles are seen");
 
-    // Lost between two frames, and between a frame and its reading.
+    // The device is lost between two frames, and between a frame and the reading of its image.
     renderer.gpu_tracer().unwrap().wgpu_device().destroy();
     let error = renderer.render(&mut scene, &view).err().unwrap();
     assert!(matches!(error, Error::DeviceLost { .. }), "{error}");
@@ -86,7 +86,7 @@ fn an_image_that_memory_cannot_hold_is_refused_and_the_next_is_drawn() {
     let mut scene = scene();
     let view = View::framing(&mut scene, 40, 30).unwrap();
     let expected = draw(&mut renderer, &mut scene, &view);
-    // Three textures of 4 GiB each, of which a software renderer makes none.
+    // Three textures of 4 GiB each, more than a software renderer allocates.
     let side = renderer.gpu_tracer().unwrap().wgpu_device().limits().max_texture_dimension_2d;
     let huge = View { width: side, height: side, aovs: true, ..view.clone() };
     if renderer.gpu_tracer().unwrap().wgpu_device().adapter_info().device_type != wgpu::DeviceType::Cpu {

@@ -1,4 +1,4 @@
-//! Frames: sizes, bands, what stays on the GPU and what is read.
+//! Frames: sizes, bands, textures that stay on the GPU, and images that are read back.
 
 use ropewalk::device::Needs;
 use ropewalk::error::Resource;
@@ -20,7 +20,8 @@ fn frames_of_any_size_are_read_whole() {
     let Some(mut tracer) = tracer() else { return };
     let mut arrays = soup(20, &mut Random::new(1));
     tracer.upload(&mut arrays).unwrap();
-    // One pixel; rows that the GPU pads; rows that need no padding; several bands, the last not a whole one.
+    // One pixel; rows that are padded when they are read; rows without padding; several bands, of which the last is not
+    // full.
     for (width, height) in [(1, 1), (7, 3), (64, 20), (1001, 555)] {
         for aovs in [false, true] {
             let request = request(width, height, aovs);

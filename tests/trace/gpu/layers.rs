@@ -1,4 +1,5 @@
-//! Shadows through glass that is in several leaves of its structure are as deep as through glass that is in one.
+//! Shadows through glass whose triangles are in several leaves are as dark as through glass whose triangles are in one
+//! leaf each.
 
 use ropewalk::accel::{Blas, BlasBuildParams};
 use ropewalk::device::DeviceArrays;
@@ -70,7 +71,7 @@ fn a_pane_in_several_leaves_darkens_once() {
     for mut tracer in [emulated(Traversal::Rope), emulated(Traversal::Wide), Box::new(Cpu::default())] {
         let layered = draw(&mut *tracer, &mut panes(BlasKind::KdTree, once | InstanceFlags::HAS_DUPLICATES));
         assert_eq!(differences(&layered, &expected), 0, "{:?}", tracer.device());
-        // Not told that there is more than one of them, it is too dark.
+        // Without the flag for duplicate triangles the shadow is too dark.
         let count = differences(&draw(&mut *tracer, &mut panes(BlasKind::KdTree, once)), &expected);
         assert!(count > 20, "{count} pixels, {:?}", tracer.device());
     }

@@ -1,4 +1,4 @@
-//! The GPU executor on whatever adapter there is.
+//! The GPU executor, on any adapter.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
 mod agreement;

@@ -1,4 +1,5 @@
-//! The example's shader, which queries the scene by itself, against exact queries by the CPU.
+//! The shader of the example `ambient_occlusion`, which queries the scene itself, compared with exact queries on the
+//! CPU.
 
 #[path = "../../../examples/ambient_occlusion/occlusion.rs"]
 mod example;
@@ -12,7 +13,7 @@ use ropewalk::{Core, DeviceChoice, Geometry, Material, Queries, Ray, Renderer, R
 
 use ropewalk_testkit::gpu::usable;
 
-/// A floor, and a roof over half of it, both sides of which count.
+/// A floor with a roof over half of it; both sides of the roof are hit.
 fn scene() -> Scene {
     let mut scene = Scene::new();
     let square =
@@ -48,7 +49,7 @@ fn an_applications_shader_sees_what_exact_queries_see() {
     let expected: Vec<f32> =
         (0..params.width * params.height).map(|pixel| openness(&queries, &params, pixel)).collect();
     assert_eq!(found.len(), expected.len());
-    // A ray that passes an edge within rounding may go either way.
+    // A ray that passes an edge at a distance within rounding may hit or miss.
     let (mut differ, mut shaded) = (0, 0);
     for (found, expected) in found.iter().zip(&expected) {
         differ += usize::from((found - expected).abs() > 1e-6);
@@ -59,7 +60,7 @@ fn an_applications_shader_sees_what_exact_queries_see() {
     assert!(differ * 200 <= expected.len(), "{differ} of {}", expected.len());
 }
 
-/// As the shader does it.
+/// The directions of the shader's rays.
 fn openness(queries: &Queries<'_>, params: &example::Params, pixel: u32) -> f32 {
     let (column, row) = (pixel % params.width, pixel / params.width);
     let x = (column as f32 + 0.5) / params.width as f32 * 2.0 - 1.0;

@@ -1,4 +1,4 @@
-//! Rays and answers in buffers of the application's.
+//! Rays and hits in buffers that the application owns.
 
 use ropewalk::Error;
 use ropewalk::device::DeviceArrays;
@@ -13,7 +13,7 @@ use super::soup::{rays, soup};
 use ropewalk_testkit::Random;
 use ropewalk_testkit::gpu::tracer;
 
-/// The answers to `rays` by way of buffers.
+/// The hits of `rays`, traced from a buffer into a buffer.
 fn resident<T: bytemuck::Pod>(tracer: &mut GpuTracer, rays: &[RayRecord], ray_mask: u32, closest: bool) -> Vec<T> {
     let (device, queue) = (tracer.wgpu_device().clone(), tracer.wgpu_queue().clone());
     let contents = bytemuck::cast_slice(rays);
@@ -55,7 +55,7 @@ fn rays_that_stay_on_the_gpu_hit_the_same() {
     let Some(tracer) = tracer() else { return };
     let mut random = Random::new(1);
     let arrays = soup(20, &mut random);
-    // More than one dispatch.
+    // More rays than one dispatch takes.
     same(tracer, arrays, &rays(300_001, &mut random));
 }
 

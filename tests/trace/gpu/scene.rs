@@ -1,5 +1,5 @@
-//! A scene that is edited: after every edit the GPU, which is told only what changed, shows what the `cpu` executor shows
-//! of the scene compiled from nothing.
+//! An edited scene: after each edit the GPU, which receives only the changes, renders what the executor `cpu` renders
+//! of the scene compiled from scratch.
 
 use glam::{DVec3, Vec3, Vec4};
 use ropewalk::image::Image;
@@ -47,7 +47,7 @@ fn an_unchanged_scene_uploads_nothing() {
     assert_eq!(uploaded(&mut edited.scene), 0);
 }
 
-/// A scene and what its edits choose from.
+/// A scene, and the keys from which its edits choose.
 struct Edited {
     scene: Scene,
     geometries: Vec<GeometryKey>,
@@ -61,7 +61,7 @@ impl Edited {
         let mut scene = Scene::new();
         let geometries = [4, 9, 30].map(|sides| scene.add_geometry(cone(sides)).unwrap()).to_vec();
         let materials = [Vec3::X, Vec3::Y, Vec3::Z].map(|color| scene.add_material(colored(color)).unwrap()).to_vec();
-        // Nodes that stay: what nobody uses any more is freed.
+        // Hidden nodes that use each asset, since assets without users are freed.
         for (&geometry, &material) in geometries.iter().zip(&materials) {
             let node = scene.add(scene.root(), Core::Geometry { geometry, material }).unwrap();
             scene.set_visible(node, false).unwrap();
@@ -83,7 +83,7 @@ impl Edited {
         self.places.push(node);
     }
 
-    /// Does something at random, and says what.
+    /// Makes a random edit and returns its description.
     fn edit(&mut self, random: &mut Random) -> &'static str {
         let node = pick(&self.places, random);
         let point = random.in_cube().to_array();
@@ -121,7 +121,7 @@ impl Edited {
     }
 }
 
-/// Around the y axis, from -0.7 to 0.7, without a base.
+/// A cone around the y axis, from -0.7 to 0.7, without a base.
 fn cone(sides: u32) -> Geometry {
     let rim = (0..sides).map(|i| {
         let angle = i as f32 / sides as f32 * std::f32::consts::TAU;
@@ -150,7 +150,8 @@ fn draw(renderer: &mut Renderer, scene: &mut Scene) -> Image {
     renderer.render(scene, &view()).unwrap().image().unwrap()
 }
 
-/// Edges may fall to either side of a pixel's ray, and shadows with them, where a GPU rounds differently: few pixels.
+/// Compares two images. Where a GPU rounds differently, an edge or a shadow may fall to the other side of a pixel's
+/// ray: a few pixels may differ.
 fn compare(found: &Image, expected: &Image, when: &str) {
     let (a, b) = (found.aovs.as_ref().unwrap(), expected.aovs.as_ref().unwrap());
     assert!(b.triangle.iter().any(|&triangle| triangle != u32::MAX), "{when}: nothing is seen");

@@ -1,4 +1,4 @@
-//! Device arrays made by hand: instances of a few triangles each, a hierarchy of one leaf over either.
+//! Device arrays made without the library's builders: instances of a few triangles each, in one leaf.
 
 use bytemuck::Zeroable;
 use ropewalk::device::DeviceArrays;
@@ -13,10 +13,10 @@ pub(crate) const TRIANGLES_A_LEAF: usize = 4;
 /// Half the side of the cube that an instance's triangles lie in, in the world.
 const SCALE: f32 = 0.2;
 
-/// The same in local space, and a little more.
+/// Half the side of a leaf's box in local space, in which the triangles lie between -1 and 1.
 const PADDED: f32 = 1.01;
 
-/// What all instances are made of.
+/// The material of all instances.
 fn grey() -> MaterialRecord {
     let mut material = MaterialRecord::zeroed();
     material.base_color = [0.5, 0.5, 0.5, 1.0];
@@ -33,7 +33,7 @@ fn grey() -> MaterialRecord {
     material
 }
 
-/// `instances` moved copies of four random triangles, each with its own four.
+/// The arrays of `instances` instances, each at a random place and with four random triangles of its own.
 pub(crate) fn soup(instances: usize, random: &mut Random) -> DeviceArrays {
     let mut arrays = DeviceArrays::default();
     for i in 0..instances {
@@ -82,7 +82,7 @@ pub(crate) fn set_instance(arrays: &mut DeviceArrays, i: usize, random: &mut Ran
     arrays.materials.write(0, &[grey()]);
 }
 
-/// Makes the top level: a leaf for each instance, one after the other.
+/// Makes the TLAS: a chain of leaves, one for each instance.
 pub(crate) fn link(arrays: &mut DeviceArrays) {
     let count = arrays.instances.len();
     let leaves: Vec<Node> = (0..count)

@@ -35,7 +35,7 @@ fn sun(direction: [f32; 3]) -> LightRecord {
     light
 }
 
-/// Of a bumpy ball, half glass, under a light from above.
+/// A bumpy ball whose material is half glass, under a light from above.
 fn images(request: &FrameRequest) -> [Image; 3] {
     let mut arrays = arrays(&[Mesh::displaced_icosphere(3)], &[Placed::new(0, DAffine3::IDENTITY)]);
     let mut glass = arrays.materials[0];
@@ -91,7 +91,7 @@ fn the_rays_of_a_frame_are_counted() {
     frame.params.light_count = 1;
     let lit = emulated.count_frame(&arrays, &frame);
     assert_eq!((lit.radiance_rays, lit.primary_hits), (1024, first_hits));
-    // Facets that the light grazes ask for nothing.
+    // No shadow rays start from facets that the light only grazes.
     assert!((first_hits * 9 / 10..=first_hits).contains(&lit.shadow_rays), "{lit:?}");
     assert!(unlit.cost.nodes > 1024 && lit.cost.nodes > unlit.cost.nodes && lit.cost.triangles > unlit.cost.triangles);
 }

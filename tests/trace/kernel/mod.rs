@@ -1,4 +1,4 @@
-//! The kernel on every executor, against brute force and against itself.
+//! The kernel on every executor, compared with brute force and between executors.
 
 mod executors;
 mod oracle;

@@ -1,4 +1,4 @@
-//! `closest_hit` against brute force in f64: no answer is wrong outside the band in which rounding may decide.
+//! `closest_hit` compared with brute force in f64: every hit is right, except where rounding decides (the tie band).
 
 #![allow(clippy::panic, clippy::unwrap_used, reason = "a test fails by panicking")]
 
@@ -10,7 +10,7 @@ use ropewalk::trace::Tracer;
 use ropewalk_testkit::oracle::{Candidate, Fault, Verdict, candidates, fault, is_sure};
 use ropewalk_testkit::{Mesh, Placed, Random, arrays, tracers};
 
-/// What a comparison found.
+/// The result of a comparison.
 #[derive(Default, Debug)]
 struct Tally {
     rays: usize,
@@ -43,10 +43,10 @@ fn compare(tracer: &mut dyn Tracer, arrays: &DeviceArrays, rays: &[RayRecord], r
     tally
 }
 
-/// What each ray may hit.
+/// The triangles that each ray may hit.
 type Truth = Vec<Vec<Candidate>>;
 
-/// Compares every executor with f64, and prints how they did.
+/// Compares the hits of every executor with f64, and prints the counts and errors.
 fn check(what: &str, arrays: &mut DeviceArrays, rays: &[RayRecord], ray_mask: u32) {
     let truth: Truth = rays.par_iter().map(|ray| candidates(arrays, ray, ray_mask)).collect();
     for tracer in &mut tracers() {
@@ -69,7 +69,7 @@ fn check(what: &str, arrays: &mut DeviceArrays, rays: &[RayRecord], ray_mask: u3
     }
 }
 
-/// From around a ball about `center` through it, some from inside; directions of all lengths.
+/// Rays from outside of a ball at `center` into it, and some from its inside; directions have all lengths.
 fn rays(random: &mut Random, center: DVec3, radius: f64, count: usize) -> Vec<RayRecord> {
     let mut ray = || {
         let (from, to) = (random.direction().as_dvec3(), random.in_cube().as_dvec3());

@@ -1,4 +1,4 @@
-//! Whichever arrays are walked, and in whatever order, rays hit the same, bit for bit.
+//! Rays have the same hits, bit for bit, whichever traversal finds them.
 
 #![allow(clippy::panic, clippy::unwrap_used, reason = "a test fails by panicking")]
 
@@ -9,7 +9,7 @@ use ropewalk::device::layout::{InstanceFlags, NONE, Node, PrimitiveRange, RayRec
 use ropewalk::trace::{Emulated, Recursive, Tracer as _, Traversal, TraversalCounts};
 use ropewalk_testkit::{Builder, Mesh, Placed, Random, arrays_by, tracers};
 
-/// All executors and layouts agree on these rays.
+/// Checks that all executors and traversals have the same hits for these rays.
 fn agree(arrays: &mut DeviceArrays, rays: &[RayRecord], ray_mask: u32) {
     let mut tracers = tracers();
     let mut answers = tracers.iter_mut().map(|tracer| {
@@ -32,7 +32,7 @@ fn agree(arrays: &mut DeviceArrays, rays: &[RayRecord], ray_mask: u32) {
     }
 }
 
-/// Between points in a cube of that half side, of all lengths.
+/// Rays between random points of a cube from `-size` to `size`; directions have all lengths.
 fn rays(random: &mut Random, size: f32, count: usize) -> Vec<RayRecord> {
     let mut ray = || {
         let (from, to) = (random.in_cube() * size, random.in_cube() * size);
@@ -59,7 +59,7 @@ fn placed(random: &mut Random, meshes: usize, count: usize) -> Vec<Placed> {
 
 #[test]
 fn fields_of_instances() {
-    let mut random = Random::new(1);
+    let mut random = Random::new(9);
     let meshes = [Mesh::soup(1, 300), Mesh::icosphere(3), Mesh::cube(), Mesh::soup(2, 1)];
     for instances in [1, 2, 40, 400] {
         let placed = placed(&mut random, meshes.len(), instances);
@@ -73,7 +73,7 @@ fn fields_of_instances() {
     }
 }
 
-/// The same rays, turned at the instances.
+/// The same rays, aimed at the instances.
 fn aimed(random: &mut Random, placed: &[Placed], rays: Vec<RayRecord>) -> Vec<RayRecord> {
     let aim = |ray: RayRecord| {
         let at = placed[random.index(placed.len())].world_from_local.translation.as_vec3() + random.in_cube() * 0.5;
@@ -93,12 +93,12 @@ fn meshes_of_all_sizes() {
     }
 }
 
-/// A top level as deep as it has instances, all of whose boxes overlap: far more wait than the stacks hold, the kernel's and the CPU's. Deeper than
-/// any that is built.
+/// A TLAS as deep as its number of instances, whose boxes all overlap, so that far more nodes wait than the stacks of
+/// the kernel and of the CPU hold. No builder makes one as deep.
 #[test]
 fn a_top_level_deeper_than_the_stacks() {
     let mut random = Random::new(3);
-    // Small and apart: what is passed over is missed.
+    // The instances are small and apart, so that a node that is skipped in error changes hits.
     let mut one = || {
         let translation = random.in_cube().as_dvec3() * 2.0;
         Placed::new(0, DAffine3::from_scale_rotation_translation(DVec3::splat(0.1), DQuat::IDENTITY, translation))
@@ -113,7 +113,7 @@ fn a_top_level_deeper_than_the_stacks() {
             let leaf = PrimitiveRange::leaf(i, 1);
             let end = 2 * count - 1;
             if left_deep {
-                // All inner nodes, then the leaves from the innermost out.
+                // First all inner nodes, then the leaves from the innermost outward.
                 if i + 1 < count {
                     nodes.push(Node { min, escape_index: end - i, max, primitives: PrimitiveRange::INNER });
                 } else {
@@ -166,7 +166,7 @@ fn recursion_visits_what_ropes_do() {
     let closest = ropes.count_closest_hits(&arrays, &rays, 1);
     assert!(closest.triangles > 1000 && closest.instances > 1000, "{closest:?}");
     assert_eq!(recursive.count_closest_hits(&arrays, &rays, 1), closest);
-    // After a hit it only looks at the siblings on its way up.
+    // After its hit a ray only tests the siblings on its way up.
     let (found, expected) = (recursive.count_any_hits(&arrays, &rays, 1), ropes.count_any_hits(&arrays, &rays, 1));
     assert_eq!((found.triangles, found.instances), (expected.triangles, expected.instances));
     assert!((expected.nodes..2 * expected.nodes).contains(&found.nodes), "{found:?} {expected:?}");

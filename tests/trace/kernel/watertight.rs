@@ -1,4 +1,5 @@
-//! No ray slips between triangles that share an edge or a vertex, nor past a box that it touches.
+//! Watertightness: no ray passes between triangles that share an edge or a vertex, and none misses a box that it
+//! touches.
 
 #![allow(clippy::panic, clippy::unwrap_used, reason = "a test fails by panicking")]
 
@@ -16,7 +17,8 @@ fn ray(origin: Vec3, direction: Vec3) -> RayRecord {
     RayRecord { origin: origin.to_array(), t_min: 0.0, direction: direction.to_array(), t_max: f32::MAX }
 }
 
-/// From near the middle of a mesh at a vertex, at a point of an edge, or at a point within a triangle.
+/// The origin, near the centre of a mesh, and the direction of a ray at a vertex, at a point of an edge, or at a point
+/// within a triangle.
 fn ray_from_inside(random: &mut Random, mesh: &Mesh, radius: f32) -> (Vec3, Vec3) {
     let [a, b, c] = mesh.triangle(random.index(mesh.indices.len()));
     let (s, t) = (random.unsigned(), random.unsigned());
@@ -25,12 +27,13 @@ fn ray_from_inside(random: &mut Random, mesh: &Mesh, radius: f32) -> (Vec3, Vec3
         1 => a + (b - a) * s,
         _ => a + ((b - a) * s + (c - a) * (1.0 - s) * t),
     };
-    // Half of them from the very middle, so that rays at vertices lie in many planes of boxes and edges exactly.
+    // Half of the rays start exactly at the centre, so that those at vertices lie exactly in many planes of boxes and
+    // edges.
     let origin = if random.index(2) == 0 { Vec3::ZERO } else { random.in_cube() * radius * 0.3 };
     (origin, target - origin)
 }
 
-/// Traces `RAYS / 2` rays from inside a closed mesh, and panics if any gets out.
+/// Traces `RAYS / 2` rays from inside a closed mesh, and panics if any of them misses it.
 fn none_escapes(tracer: &mut dyn Tracer, builder: Builder, mesh: &Mesh, radius: f32, world_from_local: DAffine3) {
     let mut arrays = arrays_by(builder, std::slice::from_ref(mesh), &[Placed::new(0, world_from_local)]);
     tracer.upload(&mut arrays).unwrap();
@@ -153,7 +156,7 @@ fn rays_that_start_on_a_box_face_hit_the_box() {
         let mut rays = Vec::new();
         for (axis, direction) in axis_directions() {
             for face in [1.0, -1.0] {
-                // On the face that the ray leaves, and on one that it runs along.
+                // A point on the face through which the ray leaves, and one on a face that the ray lies in.
                 let mut origin = Vec3::splat(0.25);
                 origin[axis] = face;
                 rays.push(ray(origin * size, direction * size));

@@ -1,4 +1,4 @@
-//! Ropes: a depth-first array with escape indices (the paper), in one order or in eight.
+//! Depth-first arrays with escape indices as in the paper, but eight of them: one for each octant of ray directions.
 
 use glam::Vec3;
 
@@ -17,26 +17,7 @@ struct Node {
 
 const NODE_BYTES: usize = 32;
 
-/// One order for all rays: the builder's.
-pub(super) struct Rope(Vec<Node>);
-
-impl Rope {
-    pub(super) fn new(tree: &Tree, is_pruned: bool) -> Self {
-        Self(flatten(tree, &kept(tree, is_pruned), |children| children))
-    }
-}
-
-impl Walk for Rope {
-    fn node_bytes(&self) -> usize {
-        self.0.len() * NODE_BYTES
-    }
-
-    fn walk(&self, ray: &SlabRay, t_max: f32, counts: &mut Counts, leaf: &mut VisitLeaf<'_>) -> f32 {
-        walk(&self.0, ray, t_max, counts, leaf)
-    }
-}
-
-/// An order for each octant of directions.
+/// An array for each octant of directions.
 pub(super) struct OctantRopes([Vec<Node>; 8]);
 
 impl OctantRopes {
@@ -83,10 +64,11 @@ fn walk(nodes: &[Node], ray: &SlabRay, mut t_max: f32, counts: &mut Counts, leaf
     t_max
 }
 
-/// Which nodes to keep: all, or those inner nodes that pay. A box that is met as often as its parent's, nearly, only costs: n, with
-/// k kept children below it and `a` the nearest kept ancestor, goes when k (A(a) - A(n)) < A(a).
+/// Which nodes to keep: all, or only those inner nodes that save more box tests than they cost. With A the half area of
+/// a box, k the number of kept children of node n, and a its nearest kept ancestor: testing n costs A(a) box tests and
+/// saves k (A(a) - A(n)).
 fn kept(tree: &Tree, is_pruned: bool) -> Vec<bool> {
-    /// Whether an ancestor stays depends on what is below, and the other way round.
+    /// Whether a node is kept depends on which of its ancestors and descendants are, so the decision is repeated.
     const PASSES: usize = 4;
     let nodes = &tree.0;
     let mut kept = vec![true; nodes.len()];
