@@ -58,7 +58,7 @@ fn supported_simd_level() -> Option<Level> {
 impl<'a> PacketTracer<'a> {
     pub(super) fn new(scene: &'a KernelScene<'a>) -> Self {
         // Arrays made by hand may have no wide nodes: they are walked along escape indices, a ray at a time.
-        let lanes = if scene.layout == Traversal::Wide { supported_simd_level() } else { None };
+        let lanes = if scene.traversal == Traversal::Wide { supported_simd_level() } else { None };
         Self { scene, simd_level: lanes, scratch: bytemuck::zeroed_box() }
     }
 
@@ -173,7 +173,7 @@ mod tests {
                 RayRecord { origin: origin.to_array(), t_min: 0.0, direction: direction.to_array(), t_max: f32::MAX }
             })
             .collect();
-        let scene = KernelScene::with_layout(compiler.arrays(), Traversal::Wide);
+        let scene = KernelScene::with_traversal(compiler.arrays(), Traversal::Wide);
         let trace = |lanes: Option<Level>| {
             let mut tracer = PacketTracer { scene: &scene, simd_level: lanes, scratch: bytemuck::zeroed_box() };
             let (mut hits, mut any) = (vec![HitRecord::MISS; rays.len()], vec![false; rays.len()]);

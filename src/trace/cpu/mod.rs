@@ -66,7 +66,7 @@ impl Tracer for Cpu {
     }
 
     fn render(&mut self, arrays: &DeviceArrays, request: &FrameRequest) -> Result<()> {
-        let scene = KernelScene::with_layout(arrays, Traversal::Wide);
+        let scene = KernelScene::with_traversal(arrays, Traversal::Wide);
         let params = &request.params;
         let count = FrameBuffer::check_size(params.width, params.height)?;
         (self.width, self.height, self.aovs) = (params.width, params.height, request.aovs);
@@ -119,7 +119,7 @@ impl Cpu {
     /// If `hits` is not as long as `rays`.
     pub fn closest_hits_into(&self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32, hits: &mut [HitRecord]) {
         assert_eq!(rays.len(), hits.len(), "a hit a ray");
-        let scene = KernelScene::with_layout(arrays, Traversal::Wide);
+        let scene = KernelScene::with_traversal(arrays, Traversal::Wide);
         let tasks = rays.par_chunks(RAYS_PER_TASK).zip(hits.par_chunks_mut(RAYS_PER_TASK));
         tasks.for_each_init(
             || PacketTracer::new(&scene),
@@ -133,7 +133,7 @@ impl Cpu {
     /// If `hits` is not as long as `rays`.
     pub fn any_hits_into(&self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32, hits: &mut [bool]) {
         assert_eq!(rays.len(), hits.len(), "a hit a ray");
-        let scene = KernelScene::with_layout(arrays, Traversal::Wide);
+        let scene = KernelScene::with_traversal(arrays, Traversal::Wide);
         let tasks = rays.par_chunks(RAYS_PER_TASK).zip(hits.par_chunks_mut(RAYS_PER_TASK));
         tasks.for_each_init(|| PacketTracer::new(&scene), |tracer, (rays, hits)| tracer.any_hits(rays, ray_mask, hits));
     }
