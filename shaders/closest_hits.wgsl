@@ -1,4 +1,4 @@
-// The closest hit of each ray of a batch, one invocation a ray.
+// The closest hit of each ray of a batch; one invocation per ray.
 
 @group(1) @binding(0) var<uniform> batch: RayBatch;
 @group(1) @binding(1) var<storage, read> rays: array<RayRecord>;

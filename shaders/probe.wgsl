@@ -1,7 +1,7 @@
-// What a driver makes of long loops. Mesa 22's llvmpipe ends every loop once an invocation has gone round 65,535 times
-// in all, without an error: pixels of a deep scene would be silently wrong. Each invocation goes round TURNS times, in
-// one loop, nested loops and loops one after the other, and leaves the count and a value that each turn depends on.
-// Twin of src/trace/gpu/probe.rs.
+// Start-up test for drivers that silently stop long shader loops: llvmpipe of Mesa 22 ends a loop once an invocation
+// has done 65,535 iterations in total, without an error, so pixels of a deep scene would be silently wrong. Each
+// invocation runs the planned iterations in one loop, nested loops or loops in sequence, and writes their count and a
+// value that depends on each. Twin of src/trace/gpu/probe.rs.
 
 struct LoopCounts {
     outer: u32,

@@ -1,4 +1,4 @@
-// Renders a frame, one invocation a pixel.
+// Renders a frame; one invocation per pixel.
 
 @group(1) @binding(0) var<uniform> params: FrameParams;
 @group(1) @binding(1) var color_image: texture_storage_2d<rgba32float, write>;
@@ -22,6 +22,6 @@ fn render_aovs(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     let pixel = render_pixel(id.x, y);
     textureStore(color_image, vec2<u32>(id.x, y), pixel.color);
-    textureStore(normal_depth_image, vec2<u32>(id.x, y), vec4<f32>(pixel.normal, pixel.depth));
+    textureStore(normal_depth_image, vec2<u32>(id.x, y), vec4<f32>(pixel.normal, pixel.distance));
     textureStore(ids_image, vec2<u32>(id.x, y), pixel.ids);
 }

@@ -7,31 +7,32 @@ const SQRT_MAX_QUOTIENT: f32 = 0x1p63;
 const CORNER_TOLERANCE: f32 = 0x1p-22;
 const EDGE_TOLERANCE: f32 = 0x1p-21;
 
-// A ray as boxes see it.
+// Ray operands of the slab test.
 struct SlabRay {
     origin: vec3<f32>,
     reciprocal_direction: vec3<f32>,
 }
 
-// A ray as triangles see it: the rows of a shear that takes it to the z axis, and of what takes points to t.
+// Ray operands of the triangle test: rows that shear points (relative to the origin) into a space in which the ray is
+// the z axis, and the row that gives t.
 struct ShearRay {
     origin: vec3<f32>,
     direction: vec3<f32>,
     x_row: vec3<f32>,
     y_row: vec3<f32>,
     t_row: vec3<f32>,
-    // A power of two that takes coordinates to about 1.
+    // Power of two that scales coordinates to about 1.
     scale: f32,
-    // From t to the unit of the sheared x and y.
+    // Factor from t to units of sheared x and y.
     t_to_sheared: f32,
 }
 
-// Where a ray meets a triangle's plane within its edges.
+// Intersection of a ray and a triangle: t, barycentric weights u of v1 and v of v2, facing.
 struct TriangleHit {
     t: f32,
     u: f32,
     v: f32,
-    // The ray came from the side where the triangle winds clockwise.
+    // Back-face hit: the triangle winds clockwise as seen from the ray's origin, in local space.
     back: bool,
     is_hit: bool,
 }
@@ -60,7 +61,7 @@ fn intersects_box(ray: SlabRay, t_min: f32, t_max: f32, box_min: vec3<f32>, box_
     return t_near * BOX_ENTRY_SCALE <= t_far;
 }
 
-// For each corner the greater of the other two corners' values: those of the edge across.
+// For each vertex the greater value of the other two, the ends of the opposite edge.
 fn greater_of_others(v: vec3<f32>) -> vec3<f32> {
     return vec3<f32>(max(v.y, v.z), max(v.z, v.x), max(v.x, v.y));
 }
@@ -73,35 +74,37 @@ fn reciprocal_power_of_two(value: f32) -> f32 {
 
 fn shear_ray(origin: vec3<f32>, direction: vec3<f32>, extent: f32) -> ShearRay {
     let scale = reciprocal_power_of_two(extent);
+    // Find the dominant axis of the direction, and the rows of the shear along it.
     let length = abs(direction);
     var x_row: vec3<f32>;
     var y_row: vec3<f32>;
     var t_row: vec3<f32>;
-    var depth: f32;
+    var major_component: f32;
     if length.x >= length.y && length.x >= length.z {
-        depth = direction.x;
-        x_row = vec3<f32>(-direction.y / depth, 1.0, 0.0);
-        y_row = vec3<f32>(-direction.z / depth, 0.0, 1.0);
-        t_row = vec3<f32>(1.0 / depth, 0.0, 0.0);
+        major_component = direction.x;
+        x_row = vec3<f32>(-direction.y / major_component, 1.0, 0.0);
+        y_row = vec3<f32>(-direction.z / major_component, 0.0, 1.0);
+        t_row = vec3<f32>(1.0 / major_component, 0.0, 0.0);
     } else if length.y >= length.z {
-        depth = direction.y;
-        x_row = vec3<f32>(0.0, -direction.z / depth, 1.0);
-        y_row = vec3<f32>(1.0, -direction.x / depth, 0.0);
-        t_row = vec3<f32>(0.0, 1.0 / depth, 0.0);
+        major_component = direction.y;
+        x_row = vec3<f32>(0.0, -direction.z / major_component, 1.0);
+        y_row = vec3<f32>(1.0, -direction.x / major_component, 0.0);
+        t_row = vec3<f32>(0.0, 1.0 / major_component, 0.0);
     } else {
-        depth = direction.z;
-        x_row = vec3<f32>(1.0, 0.0, -direction.x / depth);
-        y_row = vec3<f32>(0.0, 1.0, -direction.y / depth);
-        t_row = vec3<f32>(0.0, 0.0, 1.0 / depth);
+        major_component = direction.z;
+        x_row = vec3<f32>(1.0, 0.0, -direction.x / major_component);
+        y_row = vec3<f32>(0.0, 1.0, -direction.y / major_component);
+        t_row = vec3<f32>(0.0, 0.0, 1.0 / major_component);
     }
-    // Looking down the axis swaps left and right: swap back, so that the winding stays.
-    if depth < 0.0 {
-        return ShearRay(origin, direction, y_row * scale, x_row * scale, t_row, scale, -depth * scale);
+    // Swap x and y for negative directions to preserve the winding.
+    if major_component < 0.0 {
+        return ShearRay(origin, direction, y_row * scale, x_row * scale, t_row, scale, -major_component * scale);
     }
-    return ShearRay(origin, direction, x_row * scale, y_row * scale, t_row, scale, depth * scale);
+    return ShearRay(origin, direction, x_row * scale, y_row * scale, t_row, scale, major_component * scale);
 }
 
 fn intersect_triangle(ray: ShearRay, triangle: Triangle) -> TriangleHit {
+    // Shear the vertices.
     let a = triangle.v0 - ray.origin;
     let b = triangle.v1 - ray.origin;
     let c = triangle.v2 - ray.origin;
@@ -109,30 +112,31 @@ fn intersect_triangle(ray: ShearRay, triangle: Triangle) -> TriangleHit {
     let y = vec3<f32>(dot3(ray.y_row, a), dot3(ray.y_row, b), dot3(ray.y_row, c));
     let t = vec3<f32>(dot3(ray.t_row, a), dot3(ray.t_row, b), dot3(ray.t_row, c));
 
-    let depth = max(-min_component(t), max_component(t)) * ray.t_to_sheared;
+    let z_extent = max(-min_component(t), max_component(t)) * ray.t_to_sheared;
 
-    // 1. Beside the triangle by more than rounding can explain?
-    let x_least = min_component(x);
-    let x_greatest = max_component(x);
-    let y_least = min_component(y);
-    let y_greatest = max_component(y);
-    let x_extent = max(-x_least, x_greatest);
-    let y_extent = max(-y_least, y_greatest);
-    let x_tolerance = CORNER_TOLERANCE * (depth + x_extent);
-    let y_tolerance = CORNER_TOLERANCE * (depth + y_extent);
-    if x_least > x_tolerance || x_greatest < -x_tolerance || y_least > y_tolerance || y_greatest < -y_tolerance {
+    // 1. Reject the ray if it misses the projected triangle's bounds by more than the rounding error.
+    let x_min = min_component(x);
+    let x_max = max_component(x);
+    let y_min = min_component(y);
+    let y_max = max_component(y);
+    let x_extent = max(-x_min, x_max);
+    let y_extent = max(-y_min, y_max);
+    let x_tolerance = CORNER_TOLERANCE * (z_extent + x_extent);
+    let y_tolerance = CORNER_TOLERANCE * (z_extent + y_extent);
+    if x_min > x_tolerance || x_max < -x_tolerance || y_min > y_tolerance || y_max < -y_tolerance {
         return TriangleHit();
     }
 
-    // 2. Outside of an edge by more than that? Edge functions are twice the areas that the ray cuts the triangle into.
+    // 2. Compute the edge functions (twice the sub-triangles' areas) and reject if one is negative beyond its
+    //    tolerance.
     var weights = vec3<f32>(x.z * y.y - y.z * x.y, x.x * y.z - y.x * x.z, x.y * y.x - y.y * x.x);
     let back = (weights.x + weights.y) + weights.z < 0.0;
     weights = select(weights, -weights, back);
-    let tolerance = EDGE_TOLERANCE * (depth * (x_extent + y_extent) + 4.0 * (x_extent * y_extent));
+    let tolerance = EDGE_TOLERANCE * (z_extent * (x_extent + y_extent) + 4.0 * (x_extent * y_extent));
     if min_component(weights) < -tolerance {
         return TriangleHit();
     }
-    // Rarely needed: an edge with both corners near the ray is known better than that.
+    // Near an edge, repeat the test with the tighter tolerance of each edge's own two vertices (point 2).
     if min_component(weights) < 0.0 {
         let edge_x = greater_of_others(abs(x));
         let edge_y = greater_of_others(abs(y));
@@ -143,7 +147,7 @@ fn intersect_triangle(ray: ShearRay, triangle: Triangle) -> TriangleHit {
         }
     }
 
-    // 3. The point, inside the triangle whatever was rounded.
+    // 3. Compute barycentric weights and t, clamped to the triangle.
     weights = max(weights, vec3<f32>(0.0));
     let area = (weights.x + weights.y) + weights.z;
     if area < F32_MIN_NORMAL {
@@ -155,10 +159,12 @@ fn intersect_triangle(ray: ShearRay, triangle: Triangle) -> TriangleHit {
     return TriangleHit(t_hit, weights.y, weights.z, back, true);
 }
 
-// How far it is to the triangle's plane; to the corner with the greatest weight, if the ray lies in the plane. `t` is that of the
-// corners.
+// t at the triangle's plane (point 5). If the ray lies in the plane, t of the vertex with the greatest weight. `t`
+// holds the vertices' t.
 fn plane_t(ray: ShearRay, triangle: Triangle, t: vec3<f32>, weights: vec3<f32>) -> f32 {
+    // Normal, scaled by a power of two.
     let normal = cross3((triangle.v1 - triangle.v0) * ray.scale, (triangle.v2 - triangle.v0) * ray.scale);
+    // Vertex with the greatest weight.
     var corner = triangle.v2 - ray.origin;
     var corner_t = t.z;
     if weights.x >= weights.y && weights.x >= weights.z {
@@ -170,7 +176,7 @@ fn plane_t(ray: ShearRay, triangle: Triangle, t: vec3<f32>, weights: vec3<f32>) 
     }
     let height = dot3(normal, corner);
     let slope = dot3(normal, ray.direction);
-    // The quotient would not be a number.
+    // Avoid a quotient that overflows or is 0/0. Neither product is subnormal, which is slow on some processors.
     if abs(slope) * SQRT_MAX_QUOTIENT <= abs(height) / SQRT_MAX_QUOTIENT {
         return corner_t;
     }

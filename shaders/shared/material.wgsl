@@ -1,7 +1,7 @@
-// What a material is at a point of a triangle: vertex streams times textures times factors. Twin of
-// src/trace/kernel/material.rs.
+// Material values at a point of a triangle: factor x texture x vertex attribute, and the transmittance of shadow rays.
+// Twin of src/trace/kernel/material.rs.
 
-// A point of a triangle, as the vertex streams see it.
+// A point of a triangle: vertex indices and barycentric weights, with the arrays they index.
 struct TrianglePoint {
     streams: GeometryRecord,
     vertices: vec3<u32>,
@@ -19,7 +19,7 @@ fn triangle_point(instance: InstanceRecord, primitive: u32, u: f32, v: f32) -> T
     return TrianglePoint(streams, vertices, vec3<f32>((1.0 - u) - v, u, v));
 }
 
-// Whether an alpha-masked material has a hole here: closest_hit asks about each candidate.
+// Alpha test: whether a masked material is cut out at this point. Evaluated for each closest-hit candidate.
 fn fails_alpha_test(instance: InstanceRecord, primitive: u32, u: f32, v: f32) -> bool {
     let material = materials[instance.material];
     if (material.flags & MATERIAL_MASK) == 0u {
@@ -28,20 +28,24 @@ fn fails_alpha_test(instance: InstanceRecord, primitive: u32, u: f32, v: f32) ->
     return base_color_at(material, triangle_point(instance, primitive, u, v)).w < material.alpha_cutoff;
 }
 
-// The part of the light that goes on through a candidate of a shadow ray: all through a hole, what alpha leaves open, and
-// of the rest what is refracted. Shadow rays do not bend, and Fresnel reflection is taken at normal incidence.
+// Transmittance of a surface to a shadow ray: 1 where the alpha test fails; else the transmitted share, of blended
+// materials (1 - alpha) plus alpha times it. Shadow rays are not refracted; Fresnel reflectance is taken at normal
+// incidence.
 fn surface_transmittance(instance: InstanceRecord, primitive: u32, u: f32, v: f32) -> vec3<f32> {
     let material = materials[instance.material];
-    let place = triangle_point(instance, primitive, u, v);
-    let base_color = base_color_at(material, place);
+    let point = triangle_point(instance, primitive, u, v);
+    let base_color = base_color_at(material, point);
+    // Cut out: all light.
     if (material.flags & MATERIAL_MASK) != 0u && base_color.w < material.alpha_cutoff {
         return vec3<f32>(1.0);
     }
+    // The refracted share.
     var transmitted = vec3<f32>(0.0);
     if NEEDS_REFRACTION && material.transmission > 0.0 {
-        let entering = (1.0 - f0_from_ior(material.ior)) * (1.0 - metallic_roughness_at(material, place).x);
-        transmitted = crossing_tint(instance, base_color.xyz) * (entering * transmission_at(material, place));
+        let entering = (1.0 - f0_from_ior(material.ior)) * (1.0 - metallic_roughness_at(material, point).x);
+        transmitted = crossing_tint(instance, base_color.xyz) * (entering * transmission_at(material, point));
     }
+    // Blended: the rest by alpha.
     if NEEDS_BLEND && (material.flags & MATERIAL_BLEND) != 0u {
         return mix3(vec3<f32>(1.0), transmitted, base_color.w);
     }
@@ -49,45 +53,46 @@ fn surface_transmittance(instance: InstanceRecord, primitive: u32, u: f32, v: f3
 }
 
 // Linear base colour and alpha.
-fn base_color_at(material: MaterialRecord, place: TrianglePoint) -> vec4<f32> {
+fn base_color_at(material: MaterialRecord, point: TrianglePoint) -> vec4<f32> {
     var color = material.base_color;
-    if NEEDS_COLORS && place.streams.first_color != NONE {
-        let first = place.streams.first_color;
-        let a = vertex_color(first + place.vertices.x) * place.weights.x;
-        let b = vertex_color(first + place.vertices.y) * place.weights.y;
-        let c = vertex_color(first + place.vertices.z) * place.weights.z;
+    if NEEDS_COLORS && point.streams.first_color != NONE {
+        let first = point.streams.first_color;
+        let a = vertex_color(first + point.vertices.x) * point.weights.x;
+        let b = vertex_color(first + point.vertices.y) * point.weights.y;
+        let c = vertex_color(first + point.vertices.z) * point.weights.z;
         color *= (a + b) + c;
     }
     if NEEDS_TEXTURES && material.base_color_texture != NONE {
-        color *= texture_at(material.base_color_texture, place);
+        color *= texture_at(material.base_color_texture, point);
     }
     return color;
 }
 
 // Metallic and perceptual roughness.
-fn metallic_roughness_at(material: MaterialRecord, place: TrianglePoint) -> vec2<f32> {
+fn metallic_roughness_at(material: MaterialRecord, point: TrianglePoint) -> vec2<f32> {
     if NEEDS_TEXTURES && material.metallic_roughness_texture != NONE {
-        let value = texture_at(material.metallic_roughness_texture, place);
+        let value = texture_at(material.metallic_roughness_texture, point);
         return vec2<f32>(material.metallic * value.z, material.roughness * value.y);
     }
     return vec2<f32>(material.metallic, material.roughness);
 }
 
-fn emissive_at(material: MaterialRecord, place: TrianglePoint) -> vec3<f32> {
+fn emissive_at(material: MaterialRecord, point: TrianglePoint) -> vec3<f32> {
     if NEEDS_TEXTURES && material.emissive_texture != NONE {
-        return material.emissive * texture_at(material.emissive_texture, place).xyz;
+        return material.emissive * texture_at(material.emissive_texture, point).xyz;
     }
     return material.emissive;
 }
 
-fn transmission_at(material: MaterialRecord, place: TrianglePoint) -> f32 {
+fn transmission_at(material: MaterialRecord, point: TrianglePoint) -> f32 {
     if NEEDS_TEXTURES && material.transmission_texture != NONE {
-        return material.transmission * texture_at(material.transmission_texture, place).x;
+        return material.transmission * texture_at(material.transmission_texture, point).x;
     }
     return material.transmission;
 }
 
-// What one crossing of the surface does to transmitted light. A solid is entered and left: two crossings make its base colour.
+// Tint of light per surface crossing: the base colour for thin walls; its square root for solids, which are crossed
+// twice.
 fn crossing_tint(instance: InstanceRecord, base_color: vec3<f32>) -> vec3<f32> {
     if (instance.flags & INSTANCE_THIN) != 0u {
         return base_color;
@@ -95,7 +100,7 @@ fn crossing_tint(instance: InstanceRecord, base_color: vec3<f32>) -> vec3<f32> {
     return sqrt(base_color);
 }
 
-// What a dielectric of this index of refraction reflects at normal incidence. 0 stands for infinite.
+// Reflectance of a dielectric at normal incidence. 0 stands for an infinite index of refraction.
 fn f0_from_ior(ior: f32) -> f32 {
     if ior <= 0.0 {
         return 1.0;
@@ -104,20 +109,20 @@ fn f0_from_ior(ior: f32) -> f32 {
     return ratio * ratio;
 }
 
-fn texture_at(info_index: u32, place: TrianglePoint) -> vec4<f32> {
+fn texture_at(info_index: u32, point: TrianglePoint) -> vec4<f32> {
     let info = texture_infos[info_index];
-    return sample_texture(info, tex_coord_at(info, place));
+    return sample_texture(info, tex_coord_at(info, point));
 }
 
-// Texture coordinates of the set that a texture uses; (0, 0) where the geometry does not have it.
-fn tex_coord_at(info: TextureInfo, place: TrianglePoint) -> vec2<f32> {
-    let first = first_tex_coord(info, place.streams);
+// Texture coordinates of the set that a texture uses; (0, 0) if the geometry does not have it.
+fn tex_coord_at(info: TextureInfo, point: TrianglePoint) -> vec2<f32> {
+    let first = first_tex_coord(info, point.streams);
     if first == NONE {
         return vec2<f32>(0.0);
     }
-    let a = tex_coords[first + place.vertices.x] * place.weights.x;
-    let b = tex_coords[first + place.vertices.y] * place.weights.y;
-    let c = tex_coords[first + place.vertices.z] * place.weights.z;
+    let a = tex_coords[first + point.vertices.x] * point.weights.x;
+    let b = tex_coords[first + point.vertices.y] * point.weights.y;
+    let c = tex_coords[first + point.vertices.z] * point.weights.z;
     return (a + b) + c;
 }
 

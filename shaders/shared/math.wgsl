@@ -1,4 +1,5 @@
-// Vector arithmetic written out, so that every executor adds and multiplies in the same order. Twin of src/trace/kernel/math.rs.
+// Vector arithmetic written out, so that every executor adds and multiplies in the same order. Twin of
+// src/trace/kernel/math.rs.
 
 fn dot3(a: vec3<f32>, b: vec3<f32>) -> f32 {
     return (a.x * b.x + a.y * b.y) + a.z * b.z;
@@ -21,7 +22,7 @@ fn mix3(a: vec3<f32>, b: vec3<f32>, weight: f32) -> vec3<f32> {
 }
 
 fn transform_point(rows: array<vec4<f32>, 3>, p: vec3<f32>) -> vec3<f32> {
-    return vec3<f32>(dot3(rows[0].xyz, p) + rows[0].w, dot3(rows[1].xyz, p) + rows[1].w, dot3(rows[2].xyz, p) + rows[2].w);
+    return transform_vector(rows, p) + vec3<f32>(rows[0].w, rows[1].w, rows[2].w);
 }
 
 fn transform_vector(rows: array<vec4<f32>, 3>, v: vec3<f32>) -> vec3<f32> {

@@ -1,4 +1,5 @@
-// In place of material.wgsl, for queries in scenes where everything is opaque: then nothing asks.
+// Stubs for material.wgsl in query includes for scenes where all is opaque; never called, they only let query.wgsl
+// compile.
 
 fn fails_alpha_test(instance: InstanceRecord, primitive: u32, u: f32, v: f32) -> bool {
     return false;

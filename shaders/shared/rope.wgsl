@@ -1,27 +1,28 @@
-// Both levels along escape indices, in one fixed order, without a stack. Twin of src/trace/kernel/rope.rs: see there.
+// Stackless two-level traversal along escape indices, in depth-first order (paper, section 3). Twin of
+// src/trace/kernel/rope.rs: see there.
 
-// Where a ray is on its way through the two levels.
+// State of a two-level traversal.
 struct TraversalState {
-    // The ray in world space, and in the space of the level that it is in.
+    // Slab-test operands in world space, and in the current space: world in the TLAS, local in an instance.
     world_ray: SlabRay,
     level_ray: SlabRay,
-    // The ray in the space of the instance that it is in, if any.
+    // Triangle-test operands in the instance's local space; unset in the TLAS.
     local_shear: ShearRay,
     direction: vec3<f32>,
     t_min: f32,
     ray_mask: u32,
-    // Next node of the level, relative to its first, or NONE at its end.
+    // Next node of the current level, relative to its first, or NONE at the end of the level.
     node_index: u32,
-    // NONE in the top level.
+    // The current instance, or NONE in the TLAS.
     instance: u32,
-    // Where to go on in the top level after the instance.
+    // TLAS node to continue at after the current instance.
     tlas_resume_index: u32,
     first_node: u32,
     first_triangle: u32,
     flags: u32,
 }
 
-// Order is one and the same, whatever is wished.
+// The rope traversal has one order; `order` is ignored.
 fn begin_traversal(ray: RayRecord, ray_mask: u32, order: u32) -> TraversalState {
     var state: TraversalState;
     state.world_ray = slab_ray(ray.origin, ray.direction);
@@ -29,16 +30,17 @@ fn begin_traversal(ray: RayRecord, ray_mask: u32, order: u32) -> TraversalState 
     state.direction = ray.direction;
     state.t_min = ray.t_min;
     state.ray_mask = ray_mask;
-    // A hierarchy of nothing is absent or zero, and no escape index leads back to node 0.
+    // An empty TLAS has no nodes, or a zeroed root (escape index 0, which no valid node has).
     state.node_index = select(0u, NONE, tlas_nodes[0].escape_index == 0u);
     state.instance = NONE;
     state.tlas_resume_index = NONE;
     return state;
 }
 
-// Goes on to the next leaf of triangles whose box the ray meets up to `t_max`; 0 if there is none.
+// Advances to the next BLAS leaf whose box the ray intersects within [t_min, t_max]; 0 at the end.
 fn next_leaf(state: ptr<function, TraversalState>, t_max: f32) -> u32 {
     loop {
+        // End of the level: return to the TLAS, or finish.
         if (*state).node_index == NONE {
             if (*state).instance == NONE {
                 return 0u;
@@ -46,6 +48,7 @@ fn next_leaf(state: ptr<function, TraversalState>, t_max: f32) -> u32 {
             leave_instance(state);
             continue;
         }
+        // Fetch the node of the current level.
         let in_instance = (*state).instance != NONE;
         var node: Node;
         if in_instance {
@@ -53,12 +56,14 @@ fn next_leaf(state: ptr<function, TraversalState>, t_max: f32) -> u32 {
         } else {
             node = tlas_nodes[(*state).node_index];
         }
+        // Miss: follow the escape index. Inner node: its first child follows. Leaf: continue behind it.
         if !intersects_box((*state).level_ray, (*state).t_min, t_max, node.min, node.max) {
             (*state).node_index = node.escape_index;
         } else if node.primitives == 0u {
             (*state).node_index += 1u;
         } else {
             (*state).node_index = node.escape_index;
+            // Return the triangles of a BLAS leaf; enter the instance of a TLAS leaf.
             if in_instance {
                 return node.primitives;
             }
@@ -69,18 +74,22 @@ fn next_leaf(state: ptr<function, TraversalState>, t_max: f32) -> u32 {
 }
 
 fn enter_instance(state: ptr<function, TraversalState>, index: u32) {
+    // Hidden by the instance's mask?
     if (instances[index].mask & (*state).ray_mask) == 0u {
         return;
     }
+    // Transform the ray.
     let origin = transform_point(instances[index].local_from_world, (*state).world_ray.origin);
     let direction = transform_vector(instances[index].local_from_world, (*state).direction);
     (*state).first_node = instances[index].first_node;
     (*state).first_triangle = instances[index].first_triangle;
     (*state).flags = instances[index].flags;
+    // Save where the TLAS continues, and start at the BLAS root.
     (*state).tlas_resume_index = (*state).node_index;
     (*state).instance = index;
     (*state).node_index = 0u;
     (*state).level_ray = slab_ray(origin, direction);
+    // Prepare the triangle test.
     let root = blas_node_at((*state).first_node);
     let extent = max_component(max(max(abs(root.min), abs(root.max)), abs(origin)));
     (*state).local_shear = shear_ray(origin, direction, extent);

@@ -1,11 +1,12 @@
-// Textures: texels in one array (the paper's Tex), read as glTF samplers say. Twin of src/trace/kernel/texture.rs.
+// Texture sampling with glTF sampler semantics; all texels lie in one array (the paper's Tex). Twin of
+// src/trace/kernel/texture.rs.
 
-// The curve of sRGB: a straight part, 1 / 12.92 steep, and a power of (c + 0.055) / 1.055. See linear_from_srgb.
+// sRGB decoding: a linear segment of slope 1/12.92, then a power of (c + 0.055) / 1.055. See linear_from_srgb.
 const SRGB_LINEAR_END: f32 = 0.04045;
 const SRGB_LINEAR_SLOPE: f32 = 0.07739938; // 1 / 12.92
 const SRGB_SCALE: f32 = 0.9478673; // 1 / 1.055
 const SRGB_OFFSET: f32 = 0.0521327; // 0.055 / 1.055
-// Of the powers of s.
+// Polynomial coefficients in s, highest power first.
 const SRGB_FIT_6: f32 = -1.0750611;
 const SRGB_FIT_5: f32 = 4.978437;
 const SRGB_FIT_4: f32 = -9.720242;
@@ -14,24 +15,24 @@ const SRGB_FIT_2: f32 = -6.720234;
 const SRGB_FIT_1: f32 = 2.7338104;
 const SRGB_FIT_0: f32 = -0.818191;
 
-// The filtered value of a texture at texture coordinates of the set that it uses.
+// Bilinear or nearest sample at `tex_coord`.
 fn sample_texture(info: TextureInfo, tex_coord: vec2<f32>) -> vec4<f32> {
     let coord = image_coordinates(info, tex_coord);
     let x = texel_position(coord.x, info.width, info.flags & TEXTURE_MIRROR_U, info.flags & TEXTURE_CLAMP_U);
     let y = texel_position(coord.y, info.height, info.flags & TEXTURE_MIRROR_V, info.flags & TEXTURE_CLAMP_V);
     if (info.flags & TEXTURE_NEAREST) != 0u {
-        return texel(info, i32(floor(x)), i32(floor(y)));
+        return load_texel(info, i32(floor(x)), i32(floor(y)));
     }
 
-    // Texel centres lie at half-integers: mix the four around the point.
+    // Texel centres lie at half-integers: interpolate the four around the point.
     let left = floor(x - 0.5);
     let top = floor(y - 0.5);
     let across = (x - 0.5) - left;
     let down = (y - 0.5) - top;
     let column = i32(left);
     let row = i32(top);
-    let upper = mix4(texel(info, column, row), texel(info, column + 1, row), across);
-    let lower = mix4(texel(info, column, row + 1), texel(info, column + 1, row + 1), across);
+    let upper = mix4(load_texel(info, column, row), load_texel(info, column + 1, row), across);
+    let lower = mix4(load_texel(info, column, row + 1), load_texel(info, column + 1, row + 1), across);
     return mix4(upper, lower, down);
 }
 
@@ -42,7 +43,7 @@ fn image_coordinates(info: TextureInfo, tex_coord: vec2<f32>) -> vec2<f32> {
     );
 }
 
-// Where a coordinate lies along an axis of `size` texels: within the image or, if mirrored, within twice its size.
+// Position of an image coordinate along an axis, in texels: in 0..size or, if mirrored, in 0..2 size.
 fn texel_position(coord: f32, size: u32, mirror_flag: u32, clamp_flag: u32) -> f32 {
     if clamp_flag != 0u {
         return clamp(coord, 0.0, 1.0) * f32(size);
@@ -53,19 +54,20 @@ fn texel_position(coord: f32, size: u32, mirror_flag: u32, clamp_flag: u32) -> f
     return (coord - floor(coord)) * f32(size);
 }
 
-fn texel(info: TextureInfo, column: i32, row: i32) -> vec4<f32> {
-    let x = wrap(column, i32(info.width), info.flags & TEXTURE_MIRROR_U, info.flags & TEXTURE_CLAMP_U);
-    let y = wrap(row, i32(info.height), info.flags & TEXTURE_MIRROR_V, info.flags & TEXTURE_CLAMP_V);
+fn load_texel(info: TextureInfo, column: i32, row: i32) -> vec4<f32> {
+    let x = wrap_index(column, i32(info.width), info.flags & TEXTURE_MIRROR_U, info.flags & TEXTURE_CLAMP_U);
+    let y = wrap_index(row, i32(info.height), info.flags & TEXTURE_MIRROR_V, info.flags & TEXTURE_CLAMP_V);
     let word = texels[info.first_texel + u32(y) * info.width + u32(x)];
-    let rgba = vec4<f32>(f32(word & 255u), f32((word >> 8u) & 255u), f32((word >> 16u) & 255u), f32(word >> 24u)) * (1.0 / 255.0);
+    let bytes = vec4<u32>(word & 255u, (word >> 8u) & 255u, (word >> 16u) & 255u, word >> 24u);
+    let rgba = vec4<f32>(bytes) * (1.0 / 255.0);
     if (info.flags & TEXTURE_SRGB) != 0u {
         return vec4<f32>(linear_from_srgb(rgba.x), linear_from_srgb(rgba.y), linear_from_srgb(rgba.z), rgba.w);
     }
     return rgba;
 }
 
-// The texel that stands at index `i`, which is at most one texel beyond what texel_position gives.
-fn wrap(i: i32, size: i32, mirror_flag: u32, clamp_flag: u32) -> i32 {
+// Index after wrapping; `i` is at most one texel outside the range of texel_position.
+fn wrap_index(i: i32, size: i32, mirror_flag: u32, clamp_flag: u32) -> i32 {
     var wrapped = i;
     if clamp_flag == 0u && mirror_flag != 0u {
         if wrapped < 0 {
@@ -85,12 +87,12 @@ fn wrap(i: i32, size: i32, mirror_flag: u32, clamp_flag: u32) -> i32 {
             wrapped -= size;
         }
     }
-    // For clamped axes, and for coordinates that are not numbers.
+    // For clamped axes, and for NaN coordinates.
     return clamp(wrapped, 0, size - 1);
 }
 
-// The sRGB decoding of IEC 61966-2-1, ((c + 0.055) / 1.055)^2.4, to a relative error of 2e-5 (1/400 of the step between two
-// 8-bit values): x^2.4 = x^2 s s^-0.2 with s = sqrt(x), and a Chebyshev fit of s^-0.2 that is 1 at 1.
+// The sRGB decoding of IEC 61966-2-1, ((c + 0.055) / 1.055)^2.4, to a relative error of 2e-5 (1/400 of the step between
+// two 8-bit values): x^2.4 = x^2 s s^-0.2 with s = sqrt(x), and a Chebyshev fit of s^-0.2 that is 1 at 1.
 fn linear_from_srgb(c: f32) -> f32 {
     if c <= SRGB_LINEAR_END {
         return c * SRGB_LINEAR_SLOPE;

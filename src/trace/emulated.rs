@@ -1,4 +1,4 @@
-//! The `emulated` executor: the GPU kernel in Rust, one ray after the other (the paper's "Emulated").
+//! The `emulated` executor: the Rust twin of the GPU kernel (the paper's "Emulated").
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -14,37 +14,39 @@ use crate::device::DeviceArrays;
 use crate::device::layout::{HitRecord, RayRecord};
 use crate::image::Image;
 
-/// Runs the kernel on the calling thread: to debug it, and to compare others with. Reads the arrays in place.
+/// Runs the Rust twin of the GPU kernel on the calling thread, one ray at a time. For debugging the kernel and as the
+/// reference for other executors. Borrows the arrays; [`upload`](Tracer::upload) copies nothing. Only
+/// [`count_frame`](Self::count_frame) uses all threads.
 #[derive(Debug)]
 pub struct Emulated {
     device: DeviceInfo,
-    layout: Traversal,
+    traversal: Traversal,
     frame: FrameBuffer,
 }
 
 impl Emulated {
-    /// Walks the arrays in another way than by default: the hits are the same.
+    /// Sets the traversal. Hits do not depend on it.
     #[must_use]
-    pub fn with_traversal(self, layout: Traversal) -> Self {
-        Self { layout, ..self }
+    pub fn with_traversal(self, traversal: Traversal) -> Self {
+        Self { traversal, ..self }
     }
 
-    /// What [`closest_hits`](Tracer::closest_hits) reads and tests.
+    /// The traversal cost of [`closest_hits`](Tracer::closest_hits) for these rays.
     pub fn count_closest_hits(&self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> TraversalCounts {
-        let scene = KernelScene::with_layout(arrays, self.layout);
+        let scene = KernelScene::with_traversal(arrays, self.traversal);
         count(&scene, rays, ray_mask, ClosestQuery::new)
     }
 
-    /// What [`any_hits`](Tracer::any_hits) reads and tests.
+    /// The traversal cost of [`any_hits`](Tracer::any_hits) for these rays.
     pub fn count_any_hits(&self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> TraversalCounts {
-        let scene = KernelScene::with_layout(arrays, self.layout);
+        let scene = KernelScene::with_traversal(arrays, self.traversal);
         count(&scene, rays, ray_mask, AnyQuery::new)
     }
 
-    /// What [`render`](Tracer::render) traces, and what that costs, by all threads. Of translucent instances whose triangles may be
-    /// in several leaves, what shadow rays cost is left out.
+    /// Ray counts and traversal cost of [`render`](Tracer::render), computed on all threads. Not counted: the further
+    /// passes of shadow rays over layered instances (translucent, with triangles in more than one leaf).
     pub fn count_frame(&self, arrays: &DeviceArrays, request: &FrameRequest) -> FrameCounts {
-        let scene = KernelScene::with_layout(arrays, self.layout);
+        let scene = KernelScene::with_traversal(arrays, self.traversal);
         let params = &request.params;
         let rows = (0..params.height).into_par_iter().map(|y| {
             let mut rays = CountingQueries { scene: &scene, counts: FrameCounts::default() };
@@ -62,7 +64,7 @@ impl Emulated {
     }
 }
 
-/// The kernel's rays, counted.
+/// Traces the kernel's rays and adds up their cost.
 struct CountingQueries<'a> {
     scene: &'a KernelScene<'a>,
     counts: FrameCounts,
@@ -106,7 +108,7 @@ fn count<Q: Query>(scene: &KernelScene<'_>, rays: &[RayRecord], ray_mask: u32, q
 impl Default for Emulated {
     fn default() -> Self {
         let device = DeviceInfo { executor: "emulated", name: "1 thread".to_owned() };
-        Self { device, layout: Traversal::default(), frame: FrameBuffer::default() }
+        Self { device, traversal: Traversal::default(), frame: FrameBuffer::default() }
     }
 }
 
@@ -121,7 +123,7 @@ impl Tracer for Emulated {
     }
 
     fn render(&mut self, arrays: &DeviceArrays, request: &FrameRequest) -> Result<()> {
-        let scene = KernelScene::with_layout(arrays, self.layout);
+        let scene = KernelScene::with_traversal(arrays, self.traversal);
         let params = &request.params;
         let mut frame = FrameBuffer::new(params.width, params.height, request.aovs)?;
         for y in 0..params.height {
@@ -139,12 +141,12 @@ impl Tracer for Emulated {
     }
 
     fn closest_hits(&mut self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> Result<Vec<HitRecord>> {
-        let scene = KernelScene::with_layout(arrays, self.layout);
+        let scene = KernelScene::with_traversal(arrays, self.traversal);
         Ok(rays.iter().map(|ray| closest_hit(&scene, ray, ray_mask)).collect())
     }
 
     fn any_hits(&mut self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> Result<Vec<bool>> {
-        let scene = KernelScene::with_layout(arrays, self.layout);
+        let scene = KernelScene::with_traversal(arrays, self.traversal);
         Ok(rays.iter().map(|ray| any_hit(&scene, ray, ray_mask)).collect())
     }
 }

@@ -9,7 +9,7 @@ use crate::error::{Resource, require_within};
 use crate::graph::NodeKey;
 use crate::image::{Aovs, Image};
 
-/// What the kernel writes for each pixel, row by row from the top.
+/// Per-pixel outputs of the kernel, row by row from the top.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct FrameBuffer {
     pub width: u32,
@@ -18,10 +18,10 @@ pub(crate) struct FrameBuffer {
     pub aovs: Option<AovBuffers>,
 }
 
-/// What the kernel writes besides the colour.
+/// The auxiliary outputs: normal, depth and identifiers.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct AovBuffers {
-    /// Normal, then depth: `f32::MAX` where nothing was met.
+    /// Normal, then depth: `f32::MAX` where the primary ray missed.
     pub normal_depth: Vec<[f32; 4]>,
     /// Node slot, node version, primitive and instance.
     pub ids: Vec<[u32; 4]>,
@@ -31,7 +31,7 @@ pub(crate) struct AovBuffers {
 const MAX_PIXELS: u64 = 1 << 28;
 
 impl FrameBuffer {
-    /// Room for a frame, without pixels yet.
+    /// An empty frame buffer with capacity for `width * height` pixels.
     pub(crate) fn new(width: u32, height: u32, aovs: bool) -> Result<Self> {
         let pixels = Self::check_size(width, height)?;
         let aovs =
@@ -39,7 +39,7 @@ impl FrameBuffer {
         Ok(Self { width, height, color: Vec::with_capacity(pixels), aovs })
     }
 
-    /// The number of pixels of a frame, if it is one that can be rendered.
+    /// The number of pixels of a frame, or [`Error::Limit`] if there are too many.
     pub(crate) fn check_size(width: u32, height: u32) -> Result<usize> {
         let needed = u64::from(width) * u64::from(height);
         require_within(Resource::ImagePixels, needed, MAX_PIXELS)?;
@@ -55,7 +55,7 @@ impl FrameBuffer {
         }
     }
 
-    /// The image that these planes show.
+    /// Converts to an [`Image`]; a missed pixel's depth becomes infinity.
     pub(crate) fn into_image(self) -> Image {
         let aovs = self.aovs.map(|AovBuffers { normal_depth, ids }| Aovs {
             depth: normal_depth.iter().map(|&[_, _, _, t]| if t == f32::MAX { f32::INFINITY } else { t }).collect(),

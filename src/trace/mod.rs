@@ -1,4 +1,5 @@
-//! Executors of the device arrays.
+//! Executors: implementations of [`Tracer`] that trace rays through the device arrays on a GPU, on all CPU cores, or on
+//! one thread as a reference.
 
 mod cpu;
 mod emulated;
@@ -26,34 +27,38 @@ use crate::device::Needs;
 use crate::device::layout::{FrameParams, HitRecord, RayRecord};
 use crate::image::Image;
 
-/// Something that traces rays through [`DeviceArrays`]: the same rays through the same arrays give the same hits in
-/// every executor (see the tie band in `docs/ARCHITECTURE.md`).
+/// Traces rays through [`DeviceArrays`]: the same rays through the same arrays give the same hits in every executor
+/// (see the tie band in `docs/ARCHITECTURE.md`).
 ///
-/// Call [`upload`](Self::upload) after the arrays change and before tracing. A ray with a number that is not finite, or
-/// with a direction of zero, hits nothing or anything, but does no harm.
+/// Call [`upload`](Self::upload) after the arrays change and before tracing. A ray with a non-finite component or a
+/// zero direction has an unspecified result (a hit or a miss); it never panics, loops forever or reads out of bounds.
 ///
-/// Each call may fail with [`Error::DeviceLost`](crate::Error::DeviceLost), after which all do, with
-/// [`Error::OutOfMemory`](crate::Error::OutOfMemory) and [`Error::Gpu`](crate::Error::Gpu), where the driver does, and with
-/// [`Error::Limit`](crate::Error::Limit), where an image is too large for the device.
+/// Every call may fail with [`Error::DeviceLost`](crate::Error::DeviceLost): the device is gone and every later call
+/// fails the same way. With [`Error::OutOfMemory`](crate::Error::OutOfMemory) or [`Error::Gpu`](crate::Error::Gpu): the
+/// driver reported it; the tracer can still be used. With [`Error::Limit`](crate::Error::Limit): the image exceeds a
+/// limit of the device.
 pub trait Tracer {
-    /// What runs the kernel.
+    /// The device that this executor runs on.
     fn device(&self) -> &DeviceInfo;
 
-    /// Brings the executor's copy of the arrays up to date and returns how many bytes had changed. After an error the next
-    /// call copies everything.
+    /// Brings the executor's copy of the arrays up to date and returns how many bytes had changed. After an error the
+    /// next call copies everything.
     ///
     /// # Errors
     /// [`Error::Limit`](crate::Error::Limit) if an array is too large for the device, before anything is copied;
-    /// as above if the driver fails.
+    /// [`Error::DeviceLost`](crate::Error::DeviceLost), [`Error::OutOfMemory`](crate::Error::OutOfMemory) or
+    /// [`Error::Gpu`](crate::Error::Gpu) if the driver fails.
     fn upload(&mut self, arrays: &mut DeviceArrays) -> Result<u64>;
 
-    /// Traces a frame, which stays where it was made until [`read_image`](Self::read_image).
+    /// Traces a frame. The pixels stay in the executor's memory (on the GPU, for `gpu`) until
+    /// [`read_image`](Self::read_image) copies them.
     fn render(&mut self, arrays: &DeviceArrays, request: &FrameRequest) -> Result<()>;
 
-    /// The last frame rendered.
+    /// Copies the last frame rendered into an image.
     fn read_image(&self) -> Result<Image>;
 
-    /// The last frame's linear colour as a texture, where it is one: `Rgba32Float`, to be bound (unfiltered) or copied from.
+    /// The last frame's linear colour as an `Rgba32Float` texture, or `None` for executors without one. Usable as a
+    /// non-filterable texture binding and as a copy source.
     #[cfg(feature = "gpu")]
     fn texture(&self) -> Option<&wgpu::Texture> {
         None
@@ -65,7 +70,8 @@ pub trait Tracer {
         None
     }
 
-    /// How long the device itself says that it traced the last frame, where it has a clock. Waits for the frame.
+    /// GPU time of the last frame from timestamp queries, or `None` where the device has none. Blocks until the frame
+    /// is done.
     fn trace_time(&self) -> Option<Duration> {
         None
     }
@@ -73,7 +79,7 @@ pub trait Tracer {
     /// The closest hit of each ray, of instances that share a bit with `ray_mask`.
     fn closest_hits(&mut self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> Result<Vec<HitRecord>>;
 
-    /// For each ray, whether it meets anything opaque.
+    /// Occlusion query: for each ray, whether an opaque surface lies between `t_min` and `t_max`.
     fn any_hits(&mut self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> Result<Vec<bool>>;
 }
 
@@ -82,13 +88,13 @@ pub trait Tracer {
 pub struct FrameRequest {
     /// Camera, sky and limits.
     pub params: FrameParams,
-    /// What the kernel must be able to do.
+    /// Kernel features that the scene needs.
     pub needs: Needs,
     /// Whether [`Image::aovs`] is wanted.
     pub aovs: bool,
 }
 
-/// What runs the kernel.
+/// Name and kind of the device that runs the kernel.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct DeviceInfo {
     /// "gpu", "cpu", "emulated" or "recursive".

@@ -1,4 +1,5 @@
-//! The `recursive` executor: trees of pointers, walked by recursion, one ray after the other (the paper's "CPU").
+//! The `recursive` executor: BVHs of heap-allocated nodes, traversed recursively, one ray at a time (the paper's
+//! "CPU").
 
 use std::collections::HashMap;
 
@@ -15,43 +16,44 @@ use crate::device::DeviceArrays;
 use crate::device::layout::{HitRecord, Node, PrimitiveRange, RayRecord, Triangle};
 use crate::image::Image;
 
-/// What most ray tracers are: nodes on the heap that point to their children, in a fixed order. A baseline to compare with, and a second
-/// opinion on what the others find; nothing to draw with. [`upload`](Tracer::upload) makes all trees anew whenever a hierarchy
-/// has changed.
+/// A textbook recursive BVH traversal: heap nodes with child pointers, children visited in storage order. It is a
+/// baseline for benchmarks and an independent check of the other executors' traversals (the triangle test and the hit
+/// rules are theirs); too slow for rendering. [`upload`](Tracer::upload) rebuilds all trees from the device arrays
+/// whenever TLAS nodes, BLAS nodes or triangles have changed.
 #[derive(Debug)]
 pub struct Recursive {
     device: DeviceInfo,
-    /// None before the first upload.
+    /// `None` before the first upload.
     trees: Option<PointerTrees>,
     frame: FrameBuffer,
 }
 
-/// The hierarchies of both levels.
+/// The pointer trees of both levels.
 #[derive(Debug, Default)]
 struct PointerTrees {
-    /// Its leaves hold instances.
+    /// The TLAS; its leaves refer to instances. `None` for an empty one.
     tlas: Option<TreeNode>,
-    /// By the instances' `first_node`.
+    /// The BLASes, by the instances' `first_node`.
     blas_by_first_node: HashMap<u32, TreeNode>,
 }
 
 #[derive(Debug)]
 struct TreeNode {
     node: Node,
-    /// None for a leaf.
-    #[expect(clippy::vec_box, reason = "pointers are the point")]
+    /// Empty for a leaf.
+    #[expect(clippy::vec_box, reason = "this executor measures pointer chasing, so each child is its own allocation")]
     children: Vec<Box<TreeNode>>,
-    /// Of a leaf of a bottom level.
+    /// The triangles of a BLAS leaf; empty for TLAS nodes and inner nodes.
     triangles: Box<[Triangle]>,
 }
 
 impl Recursive {
-    /// What [`closest_hits`](Tracer::closest_hits) reads and tests. The arrays must have been uploaded.
+    /// The traversal cost of [`closest_hits`](Tracer::closest_hits) for these rays. The arrays must have been uploaded.
     pub fn count_closest_hits(&self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> TraversalCounts {
         self.count(arrays, rays, ray_mask, ClosestQuery::new)
     }
 
-    /// What [`any_hits`](Tracer::any_hits) reads and tests. The arrays must have been uploaded.
+    /// The traversal cost of [`any_hits`](Tracer::any_hits) for these rays. The arrays must have been uploaded.
     pub fn count_any_hits(&self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> TraversalCounts {
         self.count(arrays, rays, ray_mask, AnyQuery::new)
     }
@@ -138,11 +140,13 @@ impl PointerTrees {
         if is_empty {
             return Self::default();
         }
-        let top = build_subtree(&arrays.tlas_nodes, 0, &|_| Box::default());
-        let mut bottom = HashMap::new();
+        // Copy the TLAS.
+        let tlas = build_subtree(&arrays.tlas_nodes, 0, &|_| Box::default());
+        // Copy each BLAS once.
+        let mut blas_by_first_node = HashMap::new();
         for leaf in arrays.tlas_nodes.iter().filter(|node| node.is_leaf()) {
             let instance = &arrays.instances[leaf.primitives.first_primitive() as usize];
-            bottom.entry(instance.first_node).or_insert_with(|| {
+            blas_by_first_node.entry(instance.first_node).or_insert_with(|| {
                 let triangles = &arrays.triangles[instance.first_triangle as usize..];
                 let of = |leaf: PrimitiveRange| {
                     triangles[leaf.first_primitive() as usize..][..leaf.primitive_count() as usize].into()
@@ -150,16 +154,19 @@ impl PointerTrees {
                 build_subtree(&arrays.blas_nodes[instance.first_node as usize..], 0, &of)
             });
         }
-        Self { tlas: Some(top), blas_by_first_node: bottom }
+        Self { tlas: Some(tlas), blas_by_first_node }
     }
 }
 
-/// The tree that stands in depth-first order from a node on. Recursion is as deep as the tree: builders bound that.
+/// Builds the pointer tree of the subtree whose root is `nodes[index]`. Recursion is as deep as the tree: builders
+/// bound that.
 fn build_subtree(nodes: &[Node], index: usize, triangles: &impl Fn(PrimitiveRange) -> Box<[Triangle]>) -> TreeNode {
     let node = nodes[index];
+    // Leaf.
     if node.is_leaf() {
         return TreeNode { node, children: Vec::new(), triangles: triangles(node.primitives) };
     }
+    // Children along escape indices, without unused slots.
     let mut children = Vec::new();
     let mut child = index as u32 + 1;
     while child != node.escape_index && (child as usize) < nodes.len() {
@@ -172,7 +179,7 @@ fn build_subtree(nodes: &[Node], index: usize, triangles: &impl Fn(PrimitiveRang
     TreeNode { node, children, triangles: Box::default() }
 }
 
-/// What traces rays.
+/// Queries over the pointer trees of one scene.
 struct TreeQueries<'a> {
     scene: &'a KernelScene<'a>,
     trees: Option<&'a PointerTrees>,
@@ -241,26 +248,29 @@ impl TreeQueries<'_> {
     }
 }
 
-/// Shows the leaves whose boxes the ray meets no farther than `t_max`, which `visit` returns anew. Recursion is as deep as the
-/// tree.
+/// Calls `visit` for each leaf whose box the ray enters at or before `t_max`; `visit` returns the `t_max` for the rest
+/// of the traversal. Recursion is as deep as the tree.
 fn traverse<C: TraversalCounter>(
-    branch: &TreeNode,
+    tree_node: &TreeNode,
     ray: &SlabRay,
     t_min: f32,
     mut t_max: f32,
     counter: &mut C,
     visit: &mut dyn FnMut(&TreeNode, &mut C) -> f32,
 ) -> f32 {
+    // Box test.
     counter.node();
-    counter.read(&branch.node);
+    counter.read(&tree_node.node);
     counter.boxes(1);
-    if !intersects_box(ray, t_min, t_max, &branch.node) {
+    if !intersects_box(ray, t_min, t_max, &tree_node.node) {
         return t_max;
     }
-    if branch.node.is_leaf() {
-        return visit(branch, counter);
+    // Leaf.
+    if tree_node.node.is_leaf() {
+        return visit(tree_node, counter);
     }
-    for child in &branch.children {
+    // Children in storage order.
+    for child in &tree_node.children {
         t_max = traverse(child, ray, t_min, t_max, counter, visit);
     }
     t_max

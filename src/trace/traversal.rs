@@ -1,4 +1,4 @@
-//! Which arrays the kernel walks, and what that costs.
+//! The two traversals of the device arrays, and counters of their cost.
 
 use std::ops::AddAssign;
 
@@ -6,26 +6,30 @@ use serde::Serialize;
 
 use crate::device::DeviceArrays;
 
-/// The hierarchies that the GPU's kernel, and its twin in `emulated`, walk. All give the same hits, bit for bit.
+/// How the two BVH levels are traversed. Both traversals return identical hits, bit for bit. `cpu` always uses
+/// [`Wide`](Self::Wide) if the arrays have wide nodes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Traversal {
-    /// Both levels in one fixed order along escape indices, without a stack: the paper's. Also taken for arrays without wide nodes.
+    /// Stackless traversal along escape indices, both levels in depth-first order (the paper, section 3). The fallback
+    /// for arrays without wide nodes.
     Rope,
-    /// Near children first: the top level's of two, the bottom levels' of eight with quantised boxes, with one short stack. A top level too
-    /// deep for it goes on as above, as do rays that look for any hit there.
+    /// Ordered traversal with one short stack: the TLAS has two children a node, the BLASes eight with quantised boxes.
+    /// A TLAS subtree for which the stack has no room, and the TLAS of every any-hit or transmittance query, is
+    /// traversed along escape indices instead.
     #[default]
     Wide,
 }
 
 impl Traversal {
-    /// The one to walk these arrays by: arrays made by hand may have no wide nodes.
+    /// The traversal that these arrays support: [`Rope`](Self::Rope) if they have no wide nodes (as hand-made arrays
+    /// may), else `self`.
     pub(crate) fn supported_by(self, arrays: &DeviceArrays) -> Self {
         if arrays.wide_nodes.is_empty() { Self::Rope } else { self }
     }
 }
 
-/// What rays cost, whatever the machine.
+/// Machine-independent traversal cost: elements read and tests made, summed over rays.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct TraversalCounts {
     /// Nodes read, of both levels.
@@ -36,20 +40,20 @@ pub struct TraversalCounts {
     pub triangles: u64,
     /// Instances entered.
     pub instances: u64,
-    /// Bytes of all these.
+    /// Bytes of nodes, triangles and instances read.
     pub bytes: u64,
 }
 
-/// What a frame traces, and what that costs, whatever the machine.
+/// Rays of a frame and their machine-independent traversal cost.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct FrameCounts {
-    /// Rays that look for what they hit first: those through the pixels, mirrored and refracted ones.
+    /// Closest-hit rays: primary, reflected and refracted rays, and rays that continue behind blended surfaces.
     pub radiance_rays: u64,
-    /// Of those through the pixels, the ones that hit something.
+    /// Primary rays that hit a surface.
     pub primary_hits: u64,
     /// Rays from surfaces to lights.
     pub shadow_rays: u64,
-    /// What all of them cost.
+    /// Traversal cost of all these rays.
     pub cost: TraversalCounts,
 }
 

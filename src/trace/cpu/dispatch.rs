@@ -60,7 +60,7 @@ fn supported_simd_level() -> Option<Level> {
 impl<'a> PacketTracer<'a> {
     pub(super) fn new(scene: &'a KernelScene<'a>) -> Self {
         // Without wide nodes (hand-made arrays) rays are traced one at a time by the kernel's rope traversal.
-        let simd_level = if scene.layout == Traversal::Wide { supported_simd_level() } else { None };
+        let simd_level = if scene.traversal == Traversal::Wide { supported_simd_level() } else { None };
         Self { scene, simd_level, scratch: bytemuck::zeroed_box() }
     }
 
@@ -174,7 +174,7 @@ mod tests {
                 RayRecord { origin: origin.to_array(), t_min: 0.0, direction: direction.to_array(), t_max: f32::MAX }
             })
             .collect();
-        let scene = KernelScene::with_layout(compiler.arrays(), Traversal::Wide);
+        let scene = KernelScene::with_traversal(compiler.arrays(), Traversal::Wide);
         let trace = |simd_level: Option<Level>| {
             let mut tracer = PacketTracer { scene: &scene, simd_level, scratch: bytemuck::zeroed_box() };
             let (mut hits, mut occluded) = (vec![HitRecord::MISS; rays.len()], vec![false; rays.len()]);

@@ -94,7 +94,7 @@ impl Tracer for Cpu {
     }
 
     fn render(&mut self, arrays: &DeviceArrays, request: &FrameRequest) -> Result<()> {
-        let scene = KernelScene::with_layout(arrays, Traversal::Wide);
+        let scene = KernelScene::with_traversal(arrays, Traversal::Wide);
         let params = &request.params;
         let count = FrameBuffer::check_size(params.width, params.height)?;
         (self.width, self.height, self.aovs) = (params.width, params.height, request.aovs);
@@ -150,7 +150,7 @@ impl Cpu {
     /// If `hits` and `rays` differ in length.
     pub fn closest_hits_into(&self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32, hits: &mut [HitRecord]) {
         assert_eq!(rays.len(), hits.len(), "`hits` and `rays` must have the same length");
-        let scene = KernelScene::with_layout(arrays, Traversal::Wide);
+        let scene = KernelScene::with_traversal(arrays, Traversal::Wide);
         let tasks = rays.par_chunks(RAYS_PER_TASK).zip(hits.par_chunks_mut(RAYS_PER_TASK));
         tasks.for_each_init(
             || PacketTracer::new(&scene),
@@ -165,7 +165,7 @@ impl Cpu {
     /// If `hits` and `rays` differ in length.
     pub fn any_hits_into(&self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32, hits: &mut [bool]) {
         assert_eq!(rays.len(), hits.len(), "`hits` and `rays` must have the same length");
-        let scene = KernelScene::with_layout(arrays, Traversal::Wide);
+        let scene = KernelScene::with_traversal(arrays, Traversal::Wide);
         let tasks = rays.par_chunks(RAYS_PER_TASK).zip(hits.par_chunks_mut(RAYS_PER_TASK));
         tasks.for_each_init(|| PacketTracer::new(&scene), |tracer, (rays, hits)| tracer.any_hits(rays, ray_mask, hits));
     }

@@ -1,4 +1,5 @@
-//! What sixteen rays have found so far.
+//! Per-lane query state of a packet. The rules are those of [`Query`] and the functions beside it; what is done for
+//! many lanes at once here is tested against them lane by lane.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x16, mask32x16, u32x16};
@@ -12,18 +13,18 @@ use crate::trace::kernel::{
     is_opaque_at,
 };
 
-/// Where triangles are met.
+/// The instance being traversed: its record and its BLAS.
 pub(super) struct InstanceGeometry<'a> {
     pub(super) scene: &'a KernelScene<'a>,
-    /// The instance's index.
+    /// Index of the instance.
     pub(super) index: u32,
     pub(super) instance: &'a InstanceRecord,
-    /// The structure of its geometry, and what follows it.
+    /// The wide-node array from the BLAS's root on (other BLASes follow).
     pub(super) nodes: &'a [WideNode],
 }
 
 impl<'a> InstanceGeometry<'a> {
-    /// `None` where the instance is hidden by its mask.
+    /// `None` if the instance's mask and the ray mask share no bit.
     #[inline(always)]
     pub(super) fn of(scene: &'a KernelScene<'a>, index: u32, ray_mask: u32) -> Option<Self> {
         let instance = &scene.instances[index as usize];
@@ -54,20 +55,21 @@ fn hit_of_lane<S: Simd>(hits: &TriangleHits<f32x16<S>>, lane: usize) -> Triangle
     TriangleHit { t, u, v, back: hits.back >> lane & 1 != 0 }
 }
 
-/// One of sixteen.
+/// One lane of a packet's query state.
 pub(super) struct QueryLane<'a, A> {
     pub(super) answers: &'a mut A,
     pub(super) lane: usize,
 }
 
 impl<A: PacketQuery> QueryLane<'_, A> {
-    /// How far it goes.
+    /// The lane's current `t_max`.
     #[inline(always)]
     pub(super) fn t_max(&self) -> f32 {
         self.answers.t_max()[self.lane]
     }
 
-    /// Offers the lane's query a hit with a triangle, which lies in [t_min, t_max].
+    /// Offers the lane's query a hit with a triangle, with t in [t_min, t_max]. Whether a layered instance is skipped
+    /// is decided per hit, not per leaf as in the kernel: a ray that hits nothing of it needs no second pass.
     #[inline(always)]
     pub(super) fn accept_hit(&mut self, place: &InstanceGeometry<'_>, triangle: u32, hit: &TriangleHit) {
         let mut query = self.answers.query(self.lane);
@@ -78,18 +80,18 @@ impl<A: PacketQuery> QueryLane<'_, A> {
     }
 }
 
-/// The queries of sixteen rays.
+/// Query state of a 16-ray packet.
 pub(super) trait PacketQuery {
     type Query: Query;
-    /// What is said of a ray in the end.
+    /// Result per ray.
     type Output;
-    /// What is said of a ray that meets nothing.
+    /// Result of a ray without hits.
     const MISS: Self::Output;
 
-    /// Of rays that have met nothing and go that far.
+    /// Initial state with the given `t_max`.
     fn new<S: Simd>(t_max: f32x16<S>) -> Self;
 
-    /// Of these rays.
+    /// The final results; may trace further rays for layered instances.
     fn outputs<S: Simd>(
         &self,
         simd: S,
@@ -98,14 +100,14 @@ pub(super) trait PacketQuery {
         ray_mask: u32,
     ) -> [Self::Output; LANES];
 
-    /// How far each ray goes.
+    /// The current `t_max` of each lane.
     fn t_max(&self) -> &F32Lanes;
 
     fn query(&self, lane: usize) -> Self::Query;
 
     fn set_query(&mut self, lane: usize, query: Self::Query);
 
-    /// The rays of these lanes cross a triangle no farther than `t_max`.
+    /// Offers a triangle's hits to `lanes`, all with t in [t_min, t_max].
     fn accept_hits<S: Simd>(
         &mut self,
         simd: S,
@@ -116,7 +118,7 @@ pub(super) trait PacketQuery {
     );
 }
 
-/// The closest hits.
+/// Closest-hit state of a packet.
 #[repr(C, align(64))]
 pub(super) struct ClosestPacket {
     t: F32Lanes,
@@ -168,7 +170,8 @@ impl PacketQuery for ClosestPacket {
             back.bitcast(),
             f32x16::splat(simd, 0.0),
         ];
-        // Three times one element of each of two vectors in turn: then all eight words of a hit follow one another.
+        // Transpose 8 x 16 to 16 x 8 by three rounds of interleaving, so that the eight words of a hit follow one
+        // another.
         let v = interleaved(interleaved(interleaved(v)));
         let words: [F32Lanes; 8] =
             [v[0].into(), v[1].into(), v[2].into(), v[3].into(), v[4].into(), v[5].into(), v[6].into(), v[7].into()];
@@ -206,7 +209,7 @@ impl PacketQuery for ClosestPacket {
         self.back = self.back & !(1 << lane) | u64::from(hit.back_face) << lane;
     }
 
-    /// As [`ClosestQuery::accept_hit`](Query::accept_hit).
+    /// The packet form of [`ClosestQuery::accept_hit`](Query::accept_hit).
     #[inline(always)]
     fn accept_hits<S: Simd>(
         &mut self,
@@ -252,10 +255,10 @@ impl PacketQuery for ClosestPacket {
     }
 }
 
-/// Whether anything is hit.
+/// Any-hit (occlusion) state of a packet.
 pub(super) struct AnyPacket {
     t_max: F32Lanes,
-    /// A bit for each ray that hits.
+    /// Mask of lanes that hit an opaque surface.
     hit_mask: u64,
 }
 
@@ -294,7 +297,7 @@ impl PacketQuery for AnyPacket {
         self.hit_mask |= u64::from(query.is_hit) << lane;
     }
 
-    /// As [`AnyQuery::accept_hit`](Query::accept_hit).
+    /// The packet form of [`AnyQuery::accept_hit`](Query::accept_hit).
     #[inline(always)]
     fn accept_hits<S: Simd>(
         &mut self,
@@ -318,12 +321,12 @@ impl PacketQuery for AnyPacket {
     }
 }
 
-/// How much light gets through. A product of tints is rounded in the order in which the packet meets them, so that its last bits go by the rays
-/// that are asked together.
+/// Transmittance state of a packet. The product of tints is rounded in visiting order, which depends on the other rays
+/// of the packet: the last bits may differ from a single ray's.
 pub(super) struct TransmittancePacket {
     t_max: F32Lanes,
     light: [F32Lanes; 3],
-    /// A bit for each ray that has met a layered instance.
+    /// Mask of lanes that hit a layered instance.
     layers: u64,
 }
 
@@ -376,7 +379,7 @@ impl PacketQuery for TransmittancePacket {
         self.layers = self.layers & !(1 << lane) | u64::from(has_layers) << lane;
     }
 
-    /// As [`TransmittanceQuery::accept_hit`](Query::accept_hit).
+    /// The packet form of [`TransmittanceQuery::accept_hit`](Query::accept_hit).
     #[inline(always)]
     fn accept_hits<S: Simd>(
         &mut self,

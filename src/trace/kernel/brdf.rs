@@ -10,28 +10,29 @@ use super::math::{dot3, max, mix3};
 use super::surface::{MIN_COSINE, Surface, normalize_or};
 use crate::device::MAX_MIRROR_ROUGHNESS;
 
-/// Roughness up to which a surface is a mirror. Above [`MAX_MIRROR_ROUGHNESS`] nothing is seen in it.
+/// Up to this roughness reflections are traced in full; between it and [`MAX_MIRROR_ROUGHNESS`] they fade to the
+/// blurred sky.
 pub(super) const SHARP_REFLECTION_ROUGHNESS: f32 = 0.1;
-/// Punctual lights have no size, and a polished surface would show none: they are seen in it as in this roughness.
+/// Least roughness for highlights: a punctual light has no extent, so a smooth surface would show no highlight.
 pub(super) const MIN_HIGHLIGHT_ROUGHNESS: f32 = 0.1;
 
-/// How much of a surface's reflection is traced, 1 for a mirror; the rest is blurred sky.
+/// Share of the specular reflection that is traced as a ray (1 when smooth); the rest is the blurred sky.
 pub(crate) fn traced_reflection_share(roughness: f32) -> f32 {
     let x = ((MAX_MIRROR_ROUGHNESS - roughness) * (1.0 / (MAX_MIRROR_ROUGHNESS - SHARP_REFLECTION_ROUGHNESS)))
         .clamp(0.0, 1.0);
     (x * x) * (3.0 - 2.0 * x)
 }
 
-/// What a dielectric reflects of unpolarised light: Fresnel's equations. `eta` is the index of the side that the light
-/// comes from over that of the other side, 0 for an infinite one; `cosine` is of the angle of incidence. 1 where reflection
-/// is total.
+/// Fresnel reflectance of a dielectric for unpolarised light; 1 under total internal reflection. `eta` is the index of
+/// refraction of the side that the light comes from over that of the other side, 0 for an infinite one; `cosine` is
+/// that of the angle of incidence.
 pub(crate) fn fresnel_dielectric(cosine: f32, eta: f32) -> f32 {
-    let cosine_2 = refracted_cosine(cosine, eta);
-    if cosine_2 <= 0.0 || eta <= 0.0 {
+    let cosine_transmitted = refracted_cosine(cosine, eta);
+    if cosine_transmitted <= 0.0 || eta <= 0.0 {
         return 1.0;
     }
-    let perpendicular = (eta * cosine - cosine_2) / (eta * cosine + cosine_2);
-    let parallel = (cosine - eta * cosine_2) / (cosine + eta * cosine_2);
+    let perpendicular = (eta * cosine - cosine_transmitted) / (eta * cosine + cosine_transmitted);
+    let parallel = (cosine - eta * cosine_transmitted) / (cosine + eta * cosine_transmitted);
     0.5 * (perpendicular * perpendicular + parallel * parallel)
 }
 
@@ -41,31 +42,32 @@ pub(crate) fn refracted_cosine(cosine: f32, eta: f32) -> f32 {
     max((1.0 - eta) * (1.0 + eta) + (eta * cosine) * (eta * cosine), 0.0).sqrt()
 }
 
-/// (1 - cosine)^5: Schlick's approximation of how reflectance goes to 1.
+/// (1 - cosine)^5: Schlick's approximation of the rise of reflectance toward grazing angles.
 fn schlick(cosine: f32) -> f32 {
     let x = (1.0 - cosine).clamp(0.0, 1.0);
     let square = x * x;
     (square * square) * x
 }
 
-/// How much of the rise of reflectance towards grazing angles is left on a rough surface: a fit to the microfacets' albedo.
+/// Factor on Schlick's grazing term for rough surfaces; a fit to the directional albedo of GGX.
 fn grazing_rise(roughness: f32) -> f32 {
     1.0 - roughness * (0.1 + 0.86 * roughness)
 }
 
-/// How a surface divides the light that comes along the line of view; with what it absorbs, the sum is 1.
+/// Weights of the three lobes for the view direction; with absorption they sum to 1.
 pub(crate) struct LobeWeights {
-    /// Like a mirror, sharp or blurred.
+    /// Specular reflection.
     pub specular_reflection: Vec3,
-    /// Through the surface.
+    /// Specular transmission.
     pub specular_transmission: Vec3,
-    /// In all directions.
+    /// Diffuse reflection.
     pub diffuse: Vec3,
 }
 
 /// `eta` is as in [`fresnel_dielectric`].
 pub(crate) fn lobe_weights(surface: &Surface, cosine: f32, eta: f32) -> LobeWeights {
     let base_color = surface.base_color.xyz();
+    // Fresnel reflectance as a metal and as a dielectric.
     let rise = grazing_rise(surface.roughness);
     let metal = mix3(base_color, Vec3::ONE, schlick(cosine) * rise);
     let mut dielectric = fresnel_dielectric(cosine, eta);
@@ -73,6 +75,7 @@ pub(crate) fn lobe_weights(surface: &Surface, cosine: f32, eta: f32) -> LobeWeig
         let normal_incidence = f0_from_ior(surface.ior);
         dielectric = normal_incidence + (dielectric - normal_incidence) * rise;
     }
+    // What is not reflected is transmitted or reflected diffusely.
     let entering = (1.0 - surface.metallic) * (1.0 - dielectric);
     LobeWeights {
         specular_reflection: mix3(Vec3::splat(dielectric), metal, surface.metallic),
@@ -81,12 +84,11 @@ pub(crate) fn lobe_weights(surface: &Surface, cosine: f32, eta: f32) -> LobeWeig
     }
 }
 
-/// The light that a surface reflects to the viewer of light from one direction, times that direction's cosine. All unit
-/// vectors.
+/// BRDF times the light's cosine (glTF 2.0 appendix B). All unit vectors.
 ///
-/// The model is glTF's, but for one thing: what is mirrored towards the viewer is missing from the matt part there, too.
-/// glTF's example weighs the matt part by the Fresnel term of the half-way vector alone, and so reflects up to 1.29 of the
-/// light at grazing angles.
+/// The model is glTF's but for one thing: the diffuse lobe is also reduced by the specular reflectance toward the
+/// viewer. glTF's example weighs the diffuse lobe by the Fresnel term of the half-way vector alone, and so reflects up
+/// to 1.29 of the light at grazing angles.
 pub(crate) fn evaluate_brdf(surface: &Surface, to_viewer: Vec3, to_light: Vec3) -> Vec3 {
     let n_l = dot3(surface.normal, to_light);
     if n_l <= 0.0 {
@@ -95,28 +97,31 @@ pub(crate) fn evaluate_brdf(surface: &Surface, to_viewer: Vec3, to_light: Vec3) 
     let n_v = max(dot3(surface.normal, to_viewer), MIN_COSINE);
     let half_way = normalize_or(to_viewer + to_light, surface.normal);
     let n_h = dot3(surface.normal, half_way).clamp(0.0, 1.0);
-    let edge = schlick(dot3(to_viewer, half_way));
+    let schlick_weight = schlick(dot3(to_viewer, half_way));
 
+    // Fresnel reflectance of the microfacets.
     let f0 = f0_from_ior(surface.ior);
-    let dielectric = f0 + (1.0 - f0) * edge;
-    let metal = mix3(surface.base_color.xyz(), Vec3::ONE, edge);
+    let dielectric = f0 + (1.0 - f0) * schlick_weight;
+    let metal = mix3(surface.base_color.xyz(), Vec3::ONE, schlick_weight);
     let fresnel = mix3(Vec3::splat(dielectric), metal, surface.metallic);
+    // Diffuse energy left.
     let towards_viewer = f0 + (1.0 - f0) * (schlick(n_v) * grazing_rise(surface.roughness));
-    let matt = (1.0 - surface.metallic) * (1.0 - max(dielectric, towards_viewer)) * (1.0 - surface.transmission);
+    let diffuse = (1.0 - surface.metallic) * (1.0 - max(dielectric, towards_viewer)) * (1.0 - surface.transmission);
 
+    // GGX specular.
     let roughness = max(surface.roughness, MIN_HIGHLIGHT_ROUGHNESS);
     let specular = fresnel * ggx_specular(n_l, n_v, n_h, roughness * roughness);
-    (surface.base_color.xyz() * (matt / PI) + specular) * n_l
+    (surface.base_color.xyz() * (diffuse / PI) + specular) * n_l
 }
 
 /// GGX's distribution times Smith's height-correlated visibility.
 fn ggx_specular(n_l: f32, n_v: f32, n_h: f32, alpha: f32) -> f32 {
-    let square = alpha * alpha;
-    // n_h^2 (square - 1) + 1, without the cancellation at n_h = 1.
-    let spread = (1.0 - n_h * n_h) + (n_h * n_h) * square;
-    let distribution = square / (PI * spread * spread);
-    let light_side = n_l * (n_v * n_v * (1.0 - square) + square).sqrt();
-    let viewer_side = n_v * (n_l * n_l * (1.0 - square) + square).sqrt();
+    let alpha_squared = alpha * alpha;
+    // n_h^2 (alpha_squared - 1) + 1, without the cancellation at n_h = 1.
+    let spread = (1.0 - n_h * n_h) + (n_h * n_h) * alpha_squared;
+    let distribution = alpha_squared / (PI * spread * spread);
+    let light_side = n_l * (n_v * n_v * (1.0 - alpha_squared) + alpha_squared).sqrt();
+    let viewer_side = n_v * (n_l * n_l * (1.0 - alpha_squared) + alpha_squared).sqrt();
     distribution * (0.5 / (light_side + viewer_side))
 }
 
@@ -169,7 +174,8 @@ mod tests {
             for step in 0..=1000 {
                 let angle = f64::from(step) * 1e-3 * 1.57;
                 let cosine = angle.cos() as f32;
-                // The angle that the f32 cosine stands for, and one ulp of cosine around it: total reflection begins steeply.
+                // The angle that the f32 cosine stands for, and one ulp of cosine around it: total reflection begins
+                // steeply.
                 let expected = |cosine: f32| fresnel_by_angles(f64::from(cosine).acos(), f64::from(eta as f32));
                 let (a, b) = (expected(cosine * (1.0 - 4e-7)), expected((cosine * (1.0 + 4e-7)).min(1.0)));
                 let found = f64::from(fresnel_dielectric(cosine, eta as f32));
@@ -199,8 +205,8 @@ mod tests {
         }
     }
 
-    /// The part of light from all around that a surface reflects to the viewer: by reciprocity also the part of a beam from
-    /// there that it reflects at all. Midpoint rule over cosine and azimuth.
+    /// The part of light from all around that a surface reflects to the viewer: by reciprocity also the part of a beam
+    /// from there that it reflects at all. Midpoint rule over cosine and azimuth.
     fn reflected_part(surface: &Surface, to_viewer: Vec3) -> f64 {
         let (rows, columns) = (1000, 500);
         let mut sum = 0.0;
@@ -240,11 +246,11 @@ mod tests {
             for cosine in [1.0, 0.5, 0.1, 1e-3] {
                 for (transmission, eta) in [(0.0, 1.0 / 1.5), (0.6, 1.0 / 1.5), (1.0, 1.5)] {
                     let white = Surface { transmission, ..surface(1.0, metallic, roughness) };
-                    let LobeWeights { specular_reflection: mirrored, specular_transmission: refracted, diffuse: matt } =
+                    let LobeWeights { specular_reflection: mirrored, specular_transmission: refracted, diffuse } =
                         lobe_weights(&white, cosine, eta);
-                    let sum = mirrored + refracted + matt;
+                    let sum = mirrored + refracted + diffuse;
                     assert!((sum - Vec3::ONE).abs().max_element() < 1e-6, "{metallic} {roughness} {cosine} {sum}");
-                    assert!(mirrored.min(refracted).min(matt).min_element() >= 0.0);
+                    assert!(mirrored.min(refracted).min(diffuse).min_element() >= 0.0);
                 }
             }
         }

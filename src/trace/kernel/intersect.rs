@@ -1,63 +1,68 @@
 //! Ray against box and ray against triangle. Twin of `shaders/shared/intersect.wgsl`.
 //!
-//! The triangle test is that of S. Woop, C. Benthin, I. Wald, *Watertight Ray/Triangle Intersection* (JCGT 2013): a shear
-//! takes the ray to the z axis, and the signs of three edge functions in the plane tell what it meets. Their proof needs two
-//! triangles to compute the edge that they share with the same roundings. A GPU's compiler may contract products and sums
-//! as it likes, so here the test has a tolerance instead, and the proof is this.
+//! The triangle test is that of S. Woop, C. Benthin, I. Wald, *Watertight Ray/Triangle Intersection* (JCGT 2013): a
+//! shear takes the ray to the z axis, and the signs of three edge functions in the plane decide whether the triangle is
+//! hit. Their watertightness proof needs two triangles to compute the edge that they share with the same roundings. A
+//! GPU's compiler may contract products and sums to fused multiply-adds as it likes, so here the test has a tolerance
+//! instead, and the proof is this.
 //!
 //! Let v = 2^-23, the relative error of an operation that rounds either way, as WGSL allows; division has 2.5 v.
 //! Contraction only leaves roundings out.
 //!
-//! 1. **Corners.** With p the rounded difference of a corner and the ray's origin, and S the rounded slopes of the ray, call
-//!    x* = p.x - S.x p.z and y* = p.y - S.y p.z, taken exactly, the corner seen along the ray. Nothing but the corner and
-//!    the ray enters, so triangles agree on the corners they share. A closed mesh stays closed, and a ray from inside
-//!    meets a triangle whose exact edge functions of x* and y* have one sign. It has to be shown that this triangle is
-//!    accepted, and that its boxes are.
-//! 2. **Triangle.** Let X, Y, Z be the largest |x|, |y|, |p.z| of its corners. The computed x is a product and a sum off x*:
-//!    at most v (Z + X). The corners reach both sides of the ray within twice that, [`CORNER_TOLERANCE`]. An edge function
-//!    is a difference of two products: at most v (2 Z (X + Y) + 4 X Y) off for its corners and 4 v X Y for its own three
-//!    operations. Twice the sum is the tolerance, [`EDGE_TOLERANCE`]; the factor two covers terms in v^2. X, Y and Z may be
-//!    those of the edge's two corners alone: a tighter tolerance, so that a ray that leaves past a convex edge misses what
-//!    lies behind it.
-//! 3. **Box.** The ray meets the triangle at a mean P of the corners' p, and t = P.z / direction.z. A box around the
-//!    triangle has min <= corner, and rounding is monotonic: the computed min - origin is at most P. By its reciprocal, its
-//!    product, and S, the plane's computed t is at most 6 v beyond t; that of the far plane at most 6 v before it. The
-//!    comparison allows 32 v, [`BOX_ENTRY_SCALE`]. A hit so far ends the interval at its own rounded t: see point 5.
-//! 4. **Zeros.** Where a direction is shorter along one axis than 2^-64 of the longest, it counts as that long, so nothing
-//!    is ever infinite. The ray is then misplaced by less than 2^-64 of its way, which the padding of the boxes exceeds.
-//! 5. **Distance.** The edge functions tell that the ray meets the triangle, but not well how far away: an interpolated t is off
-//!    by the errors of the weights times the way between the corners, however near the hit. So t = n.q / n.d is that of the
-//!    plane: n is the cross product of two edges, q the vector to the corner next to the hit (the one with the greatest
-//!    weight), d the direction. Let N be n with all products positive, |e1.y e2.z| + |e1.z e2.y| and so on. An edge has one
-//!    rounding, so n is at most 4 v N off, n.q at most 8 v N.|q|, n.d at most 7 v N.|d|, and t at most
-//!    v (8 N.|q| + 7 |t| N.|d|) / |n.d| + 3 v |t|, up to terms in v^2. Where a triangle lies along two axes, n has one component,
-//!    whose error is in both products alike: t is at most 6 v |t| off, at whatever angle. In any case it is cut to the corners' t.
+//! 1. **Corners.** With p the rounded difference of a corner and the ray's origin, and S the rounded slopes of the ray,
+//!    call x* = p.x - S.x p.z and y* = p.y - S.y p.z the vertex projected along the ray, in exact arithmetic. Only the
+//!    vertex and the ray enter, so triangles agree on the vertices they share. A closed mesh stays closed, and a ray
+//!    from inside hits a triangle whose exact edge functions of x* and y* have one sign. It has to be shown that this
+//!    triangle is accepted, and that its boxes are.
+//! 2. **Triangle.** Let X, Y, Z be the largest |x|, |y|, |p.z| of its corners. The computed x is a product and a sum
+//!    off x*: at most v (Z + X). The corners reach both sides of the ray within twice that, [`CORNER_TOLERANCE`]. An
+//!    edge function is a difference of two products: at most v (2 Z (X + Y) + 4 X Y) off for its corners and 4 v X Y
+//!    for its own three operations. Twice the sum is the tolerance, [`EDGE_TOLERANCE`]; the factor two covers terms in
+//!    v^2. X, Y and Z may be those of the edge's two corners alone: a tighter tolerance, so that a ray that leaves past
+//!    a convex edge misses what lies behind it.
+//! 3. **Box.** The ray hits the triangle at a mean P of the corners' p, and t = P.z / direction.z. A box around the
+//!    triangle has min <= corner, and rounding is monotonic: the computed min - origin is at most P. By its reciprocal,
+//!    its product, and S, the plane's computed t is at most 6 v beyond t; that of the far plane at most 6 v before it.
+//!    The comparison allows 32 v, [`BOX_ENTRY_SCALE`]. t_max may be the rounded t of an earlier hit: see point 5.
+//! 4. **Zeros.** Where a direction is shorter along one axis than 2^-64 of the longest, it counts as that long, so
+//!    nothing is ever infinite. The ray is then misplaced by less than 2^-64 of its way, which the padding of the boxes
+//!    exceeds.
+//! 5. **Distance.** The edge functions decide that the triangle is hit, but do not give t well: an interpolated t is
+//!    off by the errors of the weights times the distance between the corners, however near the hit. So t = n.q / n.d
+//!    is that of the plane: n is the cross product of two edges, q the vector to the corner next to the hit (the one
+//!    with the greatest weight), d the direction. Let N be n with all products positive, |e1.y e2.z| + |e1.z e2.y| and
+//!    so on. An edge has one rounding, so n is at most 4 v N off, n.q at most 8 v N.|q|, n.d at most 7 v N.|d|, and t
+//!    at most v (8 N.|q| + 7 |t| N.|d|) / |n.d| + 3 v |t|, up to terms in v^2. Where a triangle lies along two axes, n
+//!    has one component, whose error is in both products alike: t is at most 6 v |t| off, at whatever angle. In any
+//!    case t is clamped to the range of the vertices' t.
 
 use glam::Vec3;
 
 use super::math::{cross3, dot3, max, min};
 use crate::device::layout::{Node, Triangle};
 
-/// See point 3.
+/// Factor on a box's entry distance that covers the rounding of point 3.
 pub(crate) const BOX_ENTRY_SCALE: f32 = 1.0 - 1.0 / (1 << 18) as f32;
-/// See point 4: 2^-64 of the longest component, and at least 2^-120, whose reciprocal is finite.
+/// Least magnitude of a direction's component relative to the longest (point 4): 2^-64; and absolutely: 2^-120, whose
+/// reciprocal is finite.
 pub(crate) const MIN_RELATIVE_COMPONENT: f32 = 1.0 / (1_u128 << 64) as f32;
 pub(crate) const MIN_COMPONENT: f32 = 1.0 / (1_u128 << 120) as f32;
-/// The square root of the greatest quotient that counts as a number.
+/// 2^63: a quotient of magnitude up to its square, 2^126, is taken to be finite.
 pub(crate) const SQRT_MAX_QUOTIENT: f32 = (1_u64 << 63) as f32;
 /// See point 2.
 pub(crate) const CORNER_TOLERANCE: f32 = 1.0 / (1 << 22) as f32;
 /// See point 2.
 pub(crate) const EDGE_TOLERANCE: f32 = 1.0 / (1 << 21) as f32;
 
-/// A ray as boxes see it.
+/// Ray operands of the slab test.
 #[derive(Clone, Copy)]
 pub(crate) struct SlabRay {
     pub origin: Vec3,
     pub reciprocal_direction: Vec3,
 }
 
-/// A ray as triangles see it: the rows of a shear that takes it to the z axis, and of what takes points to t.
+/// Ray operands of the triangle test: rows that shear points (relative to the origin) into a space in which the ray is
+/// the z axis, and the row that gives t.
 #[derive(Clone, Copy, Default)]
 pub(crate) struct ShearRay {
     pub origin: Vec3,
@@ -65,19 +70,19 @@ pub(crate) struct ShearRay {
     pub x_row: Vec3,
     pub y_row: Vec3,
     pub t_row: Vec3,
-    /// A power of two that takes coordinates to about 1.
+    /// Power of two that scales coordinates to about 1.
     pub scale: f32,
-    /// From t to the unit of the sheared x and y.
+    /// Factor from t to units of sheared x and y.
     pub t_to_sheared: f32,
 }
 
-/// Where a ray meets a triangle within its edges.
+/// Intersection of a ray and a triangle: t, barycentric weights u of v1 and v of v2, facing.
 #[derive(Clone, Copy)]
 pub(crate) struct TriangleHit {
     pub t: f32,
     pub u: f32,
     pub v: f32,
-    /// The ray came from the side where the triangle winds clockwise.
+    /// Back-face hit: the triangle winds clockwise as seen from the ray's origin, in local space.
     pub back: bool,
 }
 
@@ -101,7 +106,7 @@ pub(crate) fn slab_ray(origin: Vec3, direction: Vec3) -> SlabRay {
     }
 }
 
-/// Whether the ray meets the box between `t_min`, which is not negative, and `t_max`, both included.
+/// Slab test: whether the ray enters the box within [t_min, t_max]; `t_min` is not negative.
 #[inline]
 pub(crate) fn intersects_box(ray: &SlabRay, t_min: f32, t_max: f32, node: &Node) -> bool {
     let a = (Vec3::from_array(node.min) - ray.origin) * ray.reciprocal_direction;
@@ -113,7 +118,7 @@ pub(crate) fn intersects_box(ray: &SlabRay, t_min: f32, t_max: f32, node: &Node)
     t_near * BOX_ENTRY_SCALE <= t_far
 }
 
-/// For each corner the greater of the other two corners' values: those of the edge across.
+/// For each vertex the greater value of the other two, the ends of the opposite edge.
 fn greater_of_others(v: Vec3) -> Vec3 {
     Vec3::new(max(v.y, v.z), max(v.z, v.x), max(v.x, v.y))
 }
@@ -124,43 +129,47 @@ pub(crate) fn reciprocal_power_of_two(value: f32) -> f32 {
     f32::from_bits((254 - exponent) << 23)
 }
 
-/// `extent` is the largest coordinate of the geometry and the origin. Sheared coordinates are scaled to about 1 by a power of
-/// two, exactly: products of two neither overflow nor vanish, whatever the geometry's unit.
+/// Prepares the triangle test. `extent` is the greatest absolute coordinate of the geometry and the origin. Sheared
+/// coordinates are scaled to about 1 by a power of two, exactly: products of two neither overflow nor underflow,
+/// whatever the geometry's unit.
 ///
-/// A row has the number 1 (times that power) and a 0 besides the slope: a product with either is exact, so that a dot product
-/// rounds as a product and a sum do.
+/// Besides the slope a row has a 1 (times that power of two) and a 0: a product with either is exact, so that a dot
+/// product rounds as one product and one sum do.
 pub(crate) fn shear_ray(origin: Vec3, direction: Vec3, extent: f32) -> ShearRay {
     let scale = reciprocal_power_of_two(extent);
+    // Find the dominant axis of the direction, and the rows of the shear along it.
     let length = direction.abs();
-    let (depth, mut x_row, mut y_row, t_row);
+    let (major_component, mut x_row, mut y_row, t_row);
     if length.x >= length.y && length.x >= length.z {
-        depth = direction.x;
-        x_row = Vec3::new(-direction.y / depth, 1.0, 0.0);
-        y_row = Vec3::new(-direction.z / depth, 0.0, 1.0);
-        t_row = Vec3::new(1.0 / depth, 0.0, 0.0);
+        major_component = direction.x;
+        x_row = Vec3::new(-direction.y / major_component, 1.0, 0.0);
+        y_row = Vec3::new(-direction.z / major_component, 0.0, 1.0);
+        t_row = Vec3::new(1.0 / major_component, 0.0, 0.0);
     } else if length.y >= length.z {
-        depth = direction.y;
-        x_row = Vec3::new(0.0, -direction.z / depth, 1.0);
-        y_row = Vec3::new(1.0, -direction.x / depth, 0.0);
-        t_row = Vec3::new(0.0, 1.0 / depth, 0.0);
+        major_component = direction.y;
+        x_row = Vec3::new(0.0, -direction.z / major_component, 1.0);
+        y_row = Vec3::new(1.0, -direction.x / major_component, 0.0);
+        t_row = Vec3::new(0.0, 1.0 / major_component, 0.0);
     } else {
-        depth = direction.z;
-        x_row = Vec3::new(1.0, 0.0, -direction.x / depth);
-        y_row = Vec3::new(0.0, 1.0, -direction.y / depth);
-        t_row = Vec3::new(0.0, 0.0, 1.0 / depth);
+        major_component = direction.z;
+        x_row = Vec3::new(1.0, 0.0, -direction.x / major_component);
+        y_row = Vec3::new(0.0, 1.0, -direction.y / major_component);
+        t_row = Vec3::new(0.0, 0.0, 1.0 / major_component);
     }
-    // Looking down the axis swaps left and right: swap back, so that the winding stays.
-    if depth < 0.0 {
+    // Swap x and y for negative directions to preserve the winding.
+    if major_component < 0.0 {
         (x_row, y_row) = (y_row, x_row);
     }
-    let depth_scale = depth.abs() * scale;
-    ShearRay { origin, direction, x_row: x_row * scale, y_row: y_row * scale, t_row, scale, t_to_sheared: depth_scale }
+    let t_to_sheared = major_component.abs() * scale;
+    ShearRay { origin, direction, x_row: x_row * scale, y_row: y_row * scale, t_row, scale, t_to_sheared }
 }
 
-/// Where the ray meets the triangle, anywhere along its line. The point is on the triangle, tolerance or not: the weights
-/// are not negative, and t lies between those of the corners. A triangle without area, seen along the ray, is not met.
+/// Intersects the ray's whole line with a triangle; the caller checks [t_min, t_max]. The point is on the triangle,
+/// tolerance or not: the weights are not negative, and t lies between those of the vertices. A triangle whose
+/// projection along the ray has no area is missed.
 #[inline]
 pub(crate) fn intersect_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<TriangleHit> {
+    // Shear the vertices.
     let a = Vec3::from_array(triangle.v0) - ray.origin;
     let b = Vec3::from_array(triangle.v1) - ray.origin;
     let c = Vec3::from_array(triangle.v2) - ray.origin;
@@ -168,29 +177,30 @@ pub(crate) fn intersect_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<
     let y = Vec3::new(dot3(ray.y_row, a), dot3(ray.y_row, b), dot3(ray.y_row, c));
     let t = Vec3::new(dot3(ray.t_row, a), dot3(ray.t_row, b), dot3(ray.t_row, c));
 
-    let depth = max(-min_component(t), max_component(t)) * ray.t_to_sheared;
+    let z_extent = max(-min_component(t), max_component(t)) * ray.t_to_sheared;
 
-    // 1. Beside the triangle by more than rounding can explain?
-    let (x_least, x_greatest) = (min_component(x), max_component(x));
-    let (y_least, y_greatest) = (min_component(y), max_component(y));
-    let (x_extent, y_extent) = (max(-x_least, x_greatest), max(-y_least, y_greatest));
-    let x_tolerance = CORNER_TOLERANCE * (depth + x_extent);
-    let y_tolerance = CORNER_TOLERANCE * (depth + y_extent);
-    if x_least > x_tolerance || x_greatest < -x_tolerance || y_least > y_tolerance || y_greatest < -y_tolerance {
+    // 1. Reject the ray if it misses the projected triangle's bounds by more than the rounding error.
+    let (x_min, x_max) = (min_component(x), max_component(x));
+    let (y_min, y_max) = (min_component(y), max_component(y));
+    let (x_extent, y_extent) = (max(-x_min, x_max), max(-y_min, y_max));
+    let x_tolerance = CORNER_TOLERANCE * (z_extent + x_extent);
+    let y_tolerance = CORNER_TOLERANCE * (z_extent + y_extent);
+    if x_min > x_tolerance || x_max < -x_tolerance || y_min > y_tolerance || y_max < -y_tolerance {
         return None;
     }
 
-    // 2. Outside of an edge by more than that? Edge functions are twice the areas that the ray cuts the triangle into.
+    // 2. Compute the edge functions (twice the sub-triangles' areas) and reject if one is negative beyond its
+    //    tolerance.
     let mut weights = Vec3::new(x.z * y.y - y.z * x.y, x.x * y.z - y.x * x.z, x.y * y.x - y.y * x.x);
     let back = (weights.x + weights.y) + weights.z < 0.0;
     if back {
         weights = -weights;
     }
-    let tolerance = EDGE_TOLERANCE * (depth * (x_extent + y_extent) + 4.0 * (x_extent * y_extent));
+    let tolerance = EDGE_TOLERANCE * (z_extent * (x_extent + y_extent) + 4.0 * (x_extent * y_extent));
     if min_component(weights) < -tolerance {
         return None;
     }
-    // Rarely needed: an edge with both corners near the ray is known better than that.
+    // Near an edge, repeat the test with the tighter tolerance of each edge's own two vertices (point 2).
     if min_component(weights) < 0.0 {
         let (x, y, z) =
             (greater_of_others(x.abs()), greater_of_others(y.abs()), greater_of_others(t.abs()) * ray.t_to_sheared);
@@ -200,7 +210,7 @@ pub(crate) fn intersect_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<
         }
     }
 
-    // 3. The point, inside the triangle whatever was rounded.
+    // 3. Compute barycentric weights and t, clamped to the triangle.
     weights = Vec3::new(max(weights.x, 0.0), max(weights.y, 0.0), max(weights.z, 0.0));
     let area = (weights.x + weights.y) + weights.z;
     if area < f32::MIN_POSITIVE {
@@ -212,12 +222,14 @@ pub(crate) fn intersect_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<
     Some(TriangleHit { t: t_hit, u: weights.y, v: weights.z, back })
 }
 
-/// How far it is to the triangle's plane, see point 5; to the corner with the greatest weight, if the ray lies in the plane. `t` is
-/// that of the corners.
+/// t at the triangle's plane (point 5). If the ray lies in the plane, t of the vertex with the greatest weight. `t`
+/// holds the vertices' t.
 #[inline]
 pub(crate) fn plane_t(ray: &ShearRay, triangle: &Triangle, t: Vec3, weights: Vec3) -> f32 {
     let [v0, v1, v2] = [triangle.v0, triangle.v1, triangle.v2].map(Vec3::from_array);
+    // Normal, scaled by a power of two.
     let normal = cross3((v1 - v0) * ray.scale, (v2 - v0) * ray.scale);
+    // Vertex with the greatest weight.
     let (corner, corner_t) = if weights.x >= weights.y && weights.x >= weights.z {
         (v0 - ray.origin, t.x)
     } else if weights.y >= weights.z {
@@ -226,7 +238,7 @@ pub(crate) fn plane_t(ray: &ShearRay, triangle: &Triangle, t: Vec3, weights: Vec
         (v2 - ray.origin, t.z)
     };
     let (height, slope) = (dot3(normal, corner), dot3(normal, ray.direction));
-    // The quotient would not be a number. Neither factor makes subnormal numbers, which cost some processors a hundred times as much.
+    // Avoid a quotient that overflows or is 0/0. Neither product is subnormal, which is slow on some processors.
     if slope.abs() * SQRT_MAX_QUOTIENT <= height.abs() / SQRT_MAX_QUOTIENT {
         return corner_t;
     }
@@ -282,8 +294,8 @@ mod tests {
         }
     }
 
-    /// A triangle with edges of length 1 or thereabouts, `thickness` wide, and a ray that goes through its middle from `away`,
-    /// at an angle of `slope` or less.
+    /// A triangle with edges of length 1 or thereabouts, `thickness` wide, and a ray that goes through its middle from
+    /// `away`, at an angle of `slope` or less.
     fn aimed(random: &mut Random, is_flat: bool, [thickness, slope, away]: [f32; 3]) -> ([Vec3; 3], Vec3, Vec3) {
         let axis = (random.next() * 3.0) as usize;
         let flattened = |mut v: Vec3| {
@@ -300,8 +312,8 @@ mod tests {
         (corners, target - direction * away, direction)
     }
 
-    /// Point 5 of the proof: t by the same formula in f64, and how far f32, which rounds to nearest, may be off. The factor two
-    /// covers the terms of second order. `None` where the plane is anybody's guess.
+    /// Point 5 of the proof: t by the same formula in f64, and the error bound of f32 rounding to nearest. The factor
+    /// two covers the terms of second order. `None` where the plane's orientation is lost to rounding.
     fn plane_t_and_bound(ray: &ShearRay, corners: [Vec3; 3], weights: [f32; 3]) -> Option<(f64, f64)> {
         let [v0, v1, v2] = corners.map(Vec3::as_dvec3);
         let (origin, direction) = (ray.origin.as_dvec3(), ray.direction.as_dvec3());

@@ -1,5 +1,6 @@
-//! Direct light from points, spots and directions, as `KHR_lights_punctual` defines them. Twin of
-//! `shaders/shared/light.wgsl`, whose `direct_light` asks for each light what [`sample_light`] says here.
+//! Direct light from point, spot and directional lights, as `KHR_lights_punctual` defines them. Twin of
+//! `shaders/shared/light.wgsl`: there `direct_light` loops over lights; here [`sample_light`] is one iteration, so that
+//! callers can batch shadow rays.
 
 use glam::Vec3;
 
@@ -10,47 +11,51 @@ use super::offset::offset_ray_origin;
 use super::surface::{MIN_COSINE, Surface};
 use crate::device::layout::{LIGHT_DIRECTIONAL, LIGHT_SPOT, LightRecord, RayRecord};
 
-/// Light as it arrives at a point.
+/// Incident light at a point.
 struct IncidentLight {
-    /// Unit, towards the light.
+    /// Unit vector toward the light.
     direction: Vec3,
-    /// Of a surface that faces the light: lux times colour.
+    /// Irradiance at normal incidence (lux, linear RGB).
     irradiance: Vec3,
 }
 
-/// A surface that a light shines on unless something is in between.
+/// One light's unshadowed contribution and its shadow ray.
 pub(crate) struct LightSample {
-    /// From the surface to the light.
+    /// The shadow ray, from the surface to the light.
     pub ray: RayRecord,
-    /// What goes to the viewer of light that nothing stops.
+    /// Unshadowed radiance toward the viewer.
     reflected: Vec3,
     terminator: f32,
 }
 
 impl LightSample {
-    /// What goes to the viewer where so much light gets through along the ray.
+    /// Radiance toward the viewer, given the shadow ray's transmittance.
     pub(crate) fn radiance(&self, transmittance: Vec3) -> Vec3 {
         self.reflected * (transmittance * self.terminator)
     }
 }
 
-/// `None` where nothing of that light goes to the viewer.
+/// The sample of a light at a surface, or `None` if it contributes nothing toward the viewer.
 pub(super) fn sample_light(light: &LightRecord, surface: &Surface, to_viewer: Vec3) -> Option<LightSample> {
-    let arrival = incident_light(light, surface.position);
-    let facing = dot3(surface.geometric_normal, arrival.direction);
-    if facing < MIN_COSINE || max_component(arrival.irradiance) <= 0.0 {
+    let incident = incident_light(light, surface.position);
+    // Skip lights below the horizon or out of range.
+    let geometric_cosine = dot3(surface.geometric_normal, incident.direction);
+    if geometric_cosine < MIN_COSINE || max_component(incident.irradiance) <= 0.0 {
         return None;
     }
-    let reflected = evaluate_brdf(surface, to_viewer, arrival.direction) * arrival.irradiance;
+    // BRDF.
+    let reflected = evaluate_brdf(surface, to_viewer, incident.direction) * incident.irradiance;
     if max_component(reflected) <= 0.0 {
         return None;
     }
-    let ray = shadow_ray(light, offset_ray_origin(surface, arrival.direction));
-    Some(LightSample { ray, reflected, terminator: shadow_terminator(surface, arrival.direction, facing) })
+    // Shadow ray.
+    let ray = shadow_ray(light, offset_ray_origin(surface, incident.direction));
+    Some(LightSample { ray, reflected, terminator: shadow_terminator(surface, incident.direction, geometric_cosine) })
 }
 
 fn incident_light(light: &LightRecord, point: Vec3) -> IncidentLight {
     let [position, axis, color] = [light.position, light.direction, light.color].map(Vec3::from_array);
+    // Directional: the same everywhere.
     if light.kind == LIGHT_DIRECTIONAL {
         return IncidentLight { direction: -axis, irradiance: color };
     }
@@ -59,16 +64,18 @@ fn incident_light(light: &LightRecord, point: Vec3) -> IncidentLight {
     if distance <= 0.0 {
         return IncidentLight { direction: to_light, irradiance: Vec3::ZERO };
     }
+    // Inverse square of the distance, cut off at the range.
     let direction = to_light * (1.0 / distance);
-    let mut strength = range_attenuation(distance, light.range) / (distance * distance);
+    let mut attenuation = range_attenuation(distance, light.range) / (distance * distance);
+    // Spot cone.
     if light.kind == LIGHT_SPOT {
         let cone = (-dot3(axis, direction) * light.cone_scale + light.cone_offset).clamp(0.0, 1.0);
-        strength *= cone * cone;
+        attenuation *= cone * cone;
     }
-    IncidentLight { direction, irradiance: color * strength }
+    IncidentLight { direction, irradiance: color * attenuation }
 }
 
-/// From a point to a light, and no farther.
+/// Shadow ray; `t_max` is 1 at a point or spot light.
 fn shadow_ray(light: &LightRecord, start: Vec3) -> RayRecord {
     let (direction, t_max) = if light.kind == LIGHT_DIRECTIONAL {
         (-Vec3::from_array(light.direction), f32::MAX)
@@ -78,18 +85,19 @@ fn shadow_ray(light: &LightRecord, start: Vec3) -> RayRecord {
     RayRecord { origin: start.to_array(), t_min: 0.0, direction: direction.to_array(), t_max }
 }
 
-/// Falls smoothly to 0 at the light's range.
+/// Window that falls smoothly to 0 at the light's range (KHR_lights_punctual).
 fn range_attenuation(distance: f32, range: f32) -> f32 {
     let ratio = distance / range;
     let square = ratio * ratio;
     (1.0 - square * square).clamp(0.0, 1.0)
 }
 
-/// Softens the edge where a facet of a smooth surface turns from the light before its shading normal does. 1 where both
-/// normals agree. (M. J.-Y. Chiang, Y. K. Li, B. Burley, "Taming the Shadow Terminator", SIGGRAPH 2019 talks.)
-fn shadow_terminator(surface: &Surface, direction: Vec3, facing: f32) -> f32 {
-    let smooth_facing = dot3(surface.normal, direction) * dot3(surface.normal, surface.geometric_normal);
-    let g = min(facing / max(smooth_facing, MIN_COSINE * MIN_COSINE), 1.0);
+/// Shadow terminator correction: fades the light where the geometric normal is nearer to grazing than the shading
+/// normal; 1 where both agree. (M. J.-Y. Chiang, Y. K. Li, B. Burley, "Taming the Shadow Terminator", SIGGRAPH 2019
+/// talks.)
+fn shadow_terminator(surface: &Surface, direction: Vec3, geometric_cosine: f32) -> f32 {
+    let shading_cosine = dot3(surface.normal, direction) * dot3(surface.normal, surface.geometric_normal);
+    let g = min(geometric_cosine / max(shading_cosine, MIN_COSINE * MIN_COSINE), 1.0);
     ((1.0 - g) * g + 1.0) * g
 }
 
@@ -112,16 +120,16 @@ mod tests {
             };
             for distance in [0.1f32, 0.5, 1.0, 1.9, 2.0, 3.0, 9.0, 11.0, 1e6] {
                 let direction = Vec3::new(2.0, -1.0, 2.0) / 3.0;
-                let arrival = incident_light(&light, Vec3::new(1.0, 2.0, 3.0) - direction * distance);
+                let incident = incident_light(&light, Vec3::new(1.0, 2.0, 3.0) - direction * distance);
                 let window = (1.0 - (f64::from(distance) / f64::from(range)).powi(4)).clamp(0.0, 1.0);
                 let expected = 5.0 / f64::from(distance).powi(2) * window;
-                let found = f64::from(arrival.irradiance.x);
+                let found = f64::from(incident.irradiance.x);
                 let tolerance = 1e-5 * expected + 2e-6 * 5.0 / f64::from(distance).powi(2);
                 assert!(
                     (found - expected).abs() <= tolerance,
                     "range {range}, {distance}: {found}, expected {expected}"
                 );
-                assert!((arrival.direction - direction).length() < 1e-5);
+                assert!((incident.direction - direction).length() < 1e-5);
             }
         }
     }
@@ -142,10 +150,10 @@ mod tests {
         };
         for step in 0..=100 {
             let angle = step as f32 * 0.01;
-            let arrival = incident_light(&light, Vec3::new(angle.sin(), 0.0, -angle.cos()) * 2.0);
+            let incident = incident_light(&light, Vec3::new(angle.sin(), 0.0, -angle.cos()) * 2.0);
             let t = ((angle.cos() - outer.cos()) / (inner.cos() - outer.cos())).clamp(0.0, 1.0);
             let expected = t * t / 4.0;
-            assert!((arrival.irradiance.x - expected).abs() < 1e-5, "{angle}: {} {expected}", arrival.irradiance.x);
+            assert!((incident.irradiance.x - expected).abs() < 1e-5, "{angle}: {} {expected}", incident.irradiance.x);
         }
     }
 
@@ -158,8 +166,8 @@ mod tests {
             ..LightRecord::zeroed()
         };
         for position in [Vec3::ZERO, Vec3::splat(1e6)] {
-            let arrival = incident_light(&light, position);
-            assert_eq!((arrival.direction, arrival.irradiance), (Vec3::Z, Vec3::splat(2.0)));
+            let incident = incident_light(&light, position);
+            assert_eq!((incident.direction, incident.irradiance), (Vec3::Z, Vec3::splat(2.0)));
         }
     }
 

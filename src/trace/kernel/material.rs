@@ -1,5 +1,5 @@
-//! What a material is at a point of a triangle: vertex streams times textures times factors. Twin of
-//! `shaders/shared/material.wgsl`.
+//! Material values at a point of a triangle: factor x texture x vertex attribute, and the transmittance of shadow rays.
+//! Twin of `shaders/shared/material.wgsl`.
 
 use glam::{Vec2, Vec3, Vec4, Vec4Swizzles as _};
 
@@ -10,7 +10,7 @@ use crate::device::layout::{
     GeometryRecord, InstanceFlags, InstanceRecord, MaterialFlags, MaterialRecord, NONE, TextureFlags, TextureInfo,
 };
 
-/// A point of a triangle, as the vertex streams see it.
+/// A point of a triangle: vertex indices and barycentric weights, with the arrays they index.
 pub(crate) struct TrianglePoint {
     pub streams: GeometryRecord,
     pub vertices: [u32; 3],
@@ -34,7 +34,7 @@ pub(crate) fn triangle_point(
     TrianglePoint { streams, vertices, weights: Vec3::new((1.0 - u) - v, u, v) }
 }
 
-/// Whether an alpha-masked material has a hole here: `closest_hit` asks about each candidate.
+/// Alpha test: whether a masked material is cut out at this point. Evaluated for each closest-hit candidate.
 pub(crate) fn fails_alpha_test(
     scene: &KernelScene<'_>,
     instance: &InstanceRecord,
@@ -49,8 +49,9 @@ pub(crate) fn fails_alpha_test(
     base_color_at(scene, material, &triangle_point(scene, instance, primitive, u, v)).w < material.alpha_cutoff
 }
 
-/// The part of the light that goes on through a candidate of a shadow ray: all through a hole, what alpha leaves open, and
-/// of the rest what is refracted. Shadow rays do not bend, and Fresnel reflection is taken at normal incidence.
+/// Transmittance of a surface to a shadow ray: 1 where the alpha test fails; else the transmitted share, of blended
+/// materials (1 - alpha) plus alpha times it. Shadow rays are not refracted; Fresnel reflectance is taken at normal
+/// incidence.
 pub(crate) fn surface_transmittance(
     scene: &KernelScene<'_>,
     instance: &InstanceRecord,
@@ -59,17 +60,20 @@ pub(crate) fn surface_transmittance(
     v: f32,
 ) -> Vec3 {
     let material = &scene.materials[instance.material as usize];
-    let place = triangle_point(scene, instance, primitive, u, v);
-    let base_color = base_color_at(scene, material, &place);
+    let point = triangle_point(scene, instance, primitive, u, v);
+    let base_color = base_color_at(scene, material, &point);
+    // Cut out: all light.
     if has_flags(material, MaterialFlags::MASK) && base_color.w < material.alpha_cutoff {
         return Vec3::ONE;
     }
+    // The refracted share.
     let mut transmitted = Vec3::ZERO;
     if material.transmission > 0.0 {
-        let [metallic, _] = metallic_roughness_at(scene, material, &place);
+        let [metallic, _] = metallic_roughness_at(scene, material, &point);
         let entering = (1.0 - f0_from_ior(material.ior)) * (1.0 - metallic);
-        transmitted = crossing_tint(instance, base_color.xyz()) * (entering * transmission_at(scene, material, &place));
+        transmitted = crossing_tint(instance, base_color.xyz()) * (entering * transmission_at(scene, material, &point));
     }
+    // Blended: the rest by alpha.
     if has_flags(material, MaterialFlags::BLEND) {
         return mix3(Vec3::ONE, transmitted, base_color.w);
     }
@@ -77,15 +81,15 @@ pub(crate) fn surface_transmittance(
 }
 
 /// Linear base colour and alpha.
-pub(crate) fn base_color_at(scene: &KernelScene<'_>, material: &MaterialRecord, place: &TrianglePoint) -> Vec4 {
+pub(crate) fn base_color_at(scene: &KernelScene<'_>, material: &MaterialRecord, point: &TrianglePoint) -> Vec4 {
     let mut color = Vec4::from_array(material.base_color);
-    if place.streams.first_color != NONE {
-        let first = place.streams.first_color;
-        let [a, b, c] = place.vertices.map(|vertex| vertex_color(scene, first + vertex));
-        color *= (a * place.weights.x + b * place.weights.y) + c * place.weights.z;
+    if point.streams.first_color != NONE {
+        let first = point.streams.first_color;
+        let [a, b, c] = point.vertices.map(|vertex| vertex_color(scene, first + vertex));
+        color *= (a * point.weights.x + b * point.weights.y) + c * point.weights.z;
     }
     if material.base_color_texture != NONE {
-        color *= texture_at(scene, material.base_color_texture, place);
+        color *= texture_at(scene, material.base_color_texture, point);
     }
     color
 }
@@ -94,32 +98,32 @@ pub(crate) fn base_color_at(scene: &KernelScene<'_>, material: &MaterialRecord, 
 pub(crate) fn metallic_roughness_at(
     scene: &KernelScene<'_>,
     material: &MaterialRecord,
-    place: &TrianglePoint,
+    point: &TrianglePoint,
 ) -> [f32; 2] {
     if material.metallic_roughness_texture != NONE {
-        let value = texture_at(scene, material.metallic_roughness_texture, place);
+        let value = texture_at(scene, material.metallic_roughness_texture, point);
         return [material.metallic * value.z, material.roughness * value.y];
     }
     [material.metallic, material.roughness]
 }
 
-pub(crate) fn emissive_at(scene: &KernelScene<'_>, material: &MaterialRecord, place: &TrianglePoint) -> Vec3 {
+pub(crate) fn emissive_at(scene: &KernelScene<'_>, material: &MaterialRecord, point: &TrianglePoint) -> Vec3 {
     let emissive = Vec3::from_array(material.emissive);
     if material.emissive_texture != NONE {
-        return emissive * texture_at(scene, material.emissive_texture, place).xyz();
+        return emissive * texture_at(scene, material.emissive_texture, point).xyz();
     }
     emissive
 }
 
-pub(crate) fn transmission_at(scene: &KernelScene<'_>, material: &MaterialRecord, place: &TrianglePoint) -> f32 {
+pub(crate) fn transmission_at(scene: &KernelScene<'_>, material: &MaterialRecord, point: &TrianglePoint) -> f32 {
     if material.transmission_texture != NONE {
-        return material.transmission * texture_at(scene, material.transmission_texture, place).x;
+        return material.transmission * texture_at(scene, material.transmission_texture, point).x;
     }
     material.transmission
 }
 
-/// What one crossing of the surface does to transmitted light. A solid is entered and left: two crossings make its base
-/// colour.
+/// Tint of light per surface crossing: the base colour for thin walls; its square root for solids, which are crossed
+/// twice.
 pub(crate) fn crossing_tint(instance: &InstanceRecord, base_color: Vec3) -> Vec3 {
     if InstanceFlags::from_bits_retain(instance.flags).contains(InstanceFlags::THIN) {
         return base_color;
@@ -127,7 +131,7 @@ pub(crate) fn crossing_tint(instance: &InstanceRecord, base_color: Vec3) -> Vec3
     Vec3::new(base_color.x.sqrt(), base_color.y.sqrt(), base_color.z.sqrt())
 }
 
-/// What a dielectric of this index of refraction reflects at normal incidence. 0 stands for infinite.
+/// Reflectance of a dielectric at normal incidence. 0 stands for an infinite index of refraction.
 pub(crate) fn f0_from_ior(ior: f32) -> f32 {
     if ior <= 0.0 {
         return 1.0;
@@ -136,19 +140,19 @@ pub(crate) fn f0_from_ior(ior: f32) -> f32 {
     ratio * ratio
 }
 
-fn texture_at(scene: &KernelScene<'_>, info_index: u32, place: &TrianglePoint) -> Vec4 {
+fn texture_at(scene: &KernelScene<'_>, info_index: u32, point: &TrianglePoint) -> Vec4 {
     let info = &scene.texture_infos[info_index as usize];
-    sample_texture(scene, info, tex_coord_at(scene, info, place))
+    sample_texture(scene, info, tex_coord_at(scene, info, point))
 }
 
-/// Texture coordinates of the set that a texture uses; (0, 0) where the geometry does not have it.
-pub(crate) fn tex_coord_at(scene: &KernelScene<'_>, info: &TextureInfo, place: &TrianglePoint) -> Vec2 {
-    let first = first_tex_coord(info, &place.streams);
+/// Texture coordinates of the set that a texture uses; (0, 0) if the geometry does not have it.
+pub(crate) fn tex_coord_at(scene: &KernelScene<'_>, info: &TextureInfo, point: &TrianglePoint) -> Vec2 {
+    let first = first_tex_coord(info, &point.streams);
     if first == NONE {
         return Vec2::ZERO;
     }
-    let [a, b, c] = place.vertices.map(|vertex| tex_coord(scene, first + vertex));
-    (a * place.weights.x + b * place.weights.y) + c * place.weights.z
+    let [a, b, c] = point.vertices.map(|vertex| tex_coord(scene, first + vertex));
+    (a * point.weights.x + b * point.weights.y) + c * point.weights.z
 }
 
 pub(crate) fn tex_coord(scene: &KernelScene<'_>, i: u32) -> Vec2 {

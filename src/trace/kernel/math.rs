@@ -3,12 +3,12 @@
 
 use glam::Vec3;
 
-/// The smaller; `b` if either is not a number. One instruction, where `f32::min` is four.
+/// The smaller; `b` if either is NaN. One instruction, where `f32::min` is four.
 pub(crate) fn min(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
 }
 
-/// The greater; `b` if either is not a number.
+/// The greater; `b` if either is NaN.
 pub(crate) fn max(a: f32, b: f32) -> f32 {
     if a > b { a } else { b }
 }

@@ -1,4 +1,10 @@
-//! The kernel in Rust, function for function as in `shaders/shared`: what the CPU executors run.
+//! The ray tracing kernel in Rust, file by file the twin of `shaders/shared`: types, ray queries and shading.
+//!
+//! Functions have the name of their WGSL twin. They differ where WGSL lacks generics, methods or many rays at once: its
+//! leaf loops are one generic loop here ([`run_query`]), its traversal state and its ray tree are types with methods,
+//! and a light's shadow ray and a pixel's rays are returned to the caller, who may trace those of many pixels together.
+//! `emulated` runs all of it; `cpu` runs its own SIMD traversal and triangle test, and of the kernel the hit rules, the
+//! shading and, for layered instances or where there is no SIMD, the traversal.
 
 mod brdf;
 mod camera;
@@ -43,10 +49,10 @@ use crate::device::layout::{
 };
 use crate::trace::Traversal;
 
-/// The device arrays as the kernel reads them: the bindings of `types.wgsl`.
+/// Borrowed device arrays, one field per binding of the WGSL kernel, and the traversal to use.
 #[derive(Clone, Copy)]
 pub(crate) struct KernelScene<'a> {
-    pub layout: Traversal,
+    pub traversal: Traversal,
     pub tlas_nodes: &'a [Node],
     pub instances: &'a [InstanceRecord],
     pub blas_nodes: &'a [Node],
@@ -64,10 +70,10 @@ pub(crate) struct KernelScene<'a> {
 }
 
 impl<'a> KernelScene<'a> {
-    /// Walked along escape indices.
+    /// A scene traversed by [`Traversal::Rope`].
     pub(crate) fn new(arrays: &'a DeviceArrays) -> Self {
         Self {
-            layout: Traversal::Rope,
+            traversal: Traversal::Rope,
             tlas_nodes: &arrays.tlas_nodes,
             instances: &arrays.instances,
             blas_nodes: &arrays.blas_nodes,
@@ -85,9 +91,9 @@ impl<'a> KernelScene<'a> {
         }
     }
 
-    /// Walked as wished, where the arrays have what that takes.
-    pub(crate) fn with_layout(arrays: &'a DeviceArrays, layout: Traversal) -> Self {
-        Self { layout: layout.supported_by(arrays), ..Self::new(arrays) }
+    /// A scene traversed by `traversal`, or by [`Traversal::Rope`] if the arrays have no wide nodes.
+    pub(crate) fn with_traversal(arrays: &'a DeviceArrays, traversal: Traversal) -> Self {
+        Self { traversal: traversal.supported_by(arrays), ..Self::new(arrays) }
     }
 }
 
@@ -102,7 +108,8 @@ mod tests {
     use crate::trace::kernel::query::VisitOrder;
     use crate::trace::shader::EntryPoint;
 
-    /// Constants by name: `{:?}` writes as many digits as tell an `f32` from its neighbours, and a point.
+    /// Constants by name: `{:?}` prints the shortest text that parses back to the same value, with a point for an
+    /// `f32`.
     type Constants = BTreeMap<String, String>;
 
     /// Constants of the kernel, each under its own name.
@@ -117,7 +124,8 @@ mod tests {
             F::FLAGS.iter().map(move |f| (format!("{prefix}_{}", f.name()), f.value().bits().to_string()))
         }
         let kernel = named! {
-            intersect { BOX_ENTRY_SCALE, MIN_RELATIVE_COMPONENT, MIN_COMPONENT, SQRT_MAX_QUOTIENT, CORNER_TOLERANCE, EDGE_TOLERANCE }
+            intersect { BOX_ENTRY_SCALE, MIN_RELATIVE_COMPONENT, MIN_COMPONENT, SQRT_MAX_QUOTIENT }
+            intersect { CORNER_TOLERANCE, EDGE_TOLERANCE }
             texture { SRGB_LINEAR_END, SRGB_LINEAR_SLOPE, SRGB_SCALE, SRGB_OFFSET }
             texture { SRGB_FIT_6, SRGB_FIT_5, SRGB_FIT_4, SRGB_FIT_3, SRGB_FIT_2, SRGB_FIT_1, SRGB_FIT_0 }
             surface { MIN_COSINE }

@@ -1,25 +1,28 @@
-//! Where secondary rays start: outside the error of the hit point, and no farther. Twin of `shaders/shared/ray_offset.wgsl`.
+//! Origins of secondary rays: offset along the geometric normal by a bound on the hit point's rounding error. Twin of
+//! `shaders/shared/offset.wgsl`.
 //!
-//! A hit point is found in three roundings: interpolated in local space, taken to the world, and taken back to local space
-//! when the next ray enters the same instance. With u = 2^-24, V the largest absolute coordinates of the triangle's
-//! vertices, W = `world_from_local` and L = `local_from_world`, the point that the next ray starts from in local space
-//! differs from one of the triangle's plane by at most, per coordinate:
+//! A hit point is rounded in three steps: interpolated in local space, transformed to world space, and transformed back
+//! to local space when the next ray enters the same instance. With u = 2^-24, V the largest absolute coordinates of the
+//! triangle's vertices, W = `world_from_local` and L = `local_from_world`, the point that the next ray starts from in
+//! local space differs from one of the triangle's plane by at most, per coordinate:
 //!
 //! - interpolation: 8 u V (three products, two sums, and the weights' own rounding);
-//! - to the world: 4 u |W| (V, 1), the rounding of W's numbers included, and u |W| (V, 1) for adding the offset; |L| takes
-//!   both back to local space;
+//! - to the world: 4 u |W| (V, 1), the rounding of W's numbers included, and u |W| (V, 1) for adding the offset; |L|
+//!   takes both back to local space;
 //! - to local space: 4 u (|L| (|W| (V, 1)) + |l|), l being L's translation, the rounding of L's numbers included;
-//! - the next ray's direction turns by 4 u in local space, which over the size of the object is as much again.
+//! - the next ray's direction turns by 4 u in local space, which moves the ray by as much again over the object's
+//!   extent.
 //!
-//! Together less than 16 u (V + |L| (|W| (V, 1)) + |l|) ([`TRANSFORM_ERROR_FACTOR`]). The intersection test moves edges by a
-//! tolerance of its own, 8 u times sums of some six extents of the triangle: less than 64 u of its longest edge
-//! ([`EDGE_ERROR`]). The bound `e` is the sum; for the unnormalised local normal n it is |n|.e in the direction of n. A step d
-//! along the world normal L^T n / |L^T n| moves the point in local space by d L L^T n / |L^T n|, which along n is d |L^T n|.
-//! Hence d = |n|.e / |L^T n|.
+//! Together less than 16 u (V + |L| (|W| (V, 1)) + |l|) ([`TRANSFORM_ERROR_FACTOR`]). The intersection test moves edges
+//! by a tolerance of its own, 8 u times sums of some six extents of the triangle: less than 64 u of its longest edge
+//! ([`EDGE_ERROR`]). The bound `e` is the sum; for the unnormalised local normal n it is |n|.e in the direction of n. A
+//! step d along the world normal L^T n / |L^T n| moves the point in local space by d L L^T n / |L^T n|, which along n
+//! is d |L^T n|. Hence d = |n|.e / |L^T n|.
 //!
-//! In a unit object at the origin that is at most 2e-5; where an object lies a thousand times its size away from the render
-//! origin, at most 5e-3 of its size (both tested). Not bounded: a triangle a hundred times longer than wide, seen within 1e-3
-//! of edge-on, has its t off by more, and now and then meets a ray that leaves it at such an angle.
+//! In a unit object at the origin that is at most 2e-5; where an object lies a thousand times its size away from the
+//! render origin, at most 5e-3 of its size (both tested). Not bounded: a triangle a hundred times longer than wide,
+//! seen within 1e-3 of edge-on, may have a larger error in t, so that a secondary ray at such an angle occasionally
+//! hits its own surface.
 
 use glam::Vec3;
 
@@ -32,19 +35,21 @@ pub(super) const HALF_ULP: f32 = 1.0 / 16_777_216.0;
 pub(super) const TRANSFORM_ERROR_FACTOR: f32 = 16.0 * HALF_ULP;
 pub(super) const EDGE_ERROR: f32 = 64.0 * HALF_ULP;
 
-/// A point of a triangle in the world, with the plane's unit normal on the winding's side, and how far along it a ray must
-/// start so that its own rounding cannot put it on the wrong side.
+/// A hit point in world space, the unit geometric normal on the front side, and the offset for secondary rays along it
+/// (a rounding bound, world units).
 pub(crate) struct HitPoint {
     pub position: Vec3,
     pub normal: Vec3,
     pub ray_offset: f32,
 }
 
-/// A triangle that rounds to a line has no plane: it faces `fallback`, a unit vector.
+/// Reconstructs the hit point. A triangle that rounds to a line has no plane: its normal is `fallback`, a unit vector.
 pub(crate) fn hit_point(instance: &InstanceRecord, triangle: &Triangle, weights: Vec3, fallback: Vec3) -> HitPoint {
     let [v0, v1, v2] = [triangle.v0, triangle.v1, triangle.v2].map(Vec3::from_array);
+    // World-space position.
     let local = (v0 * weights.x + v1 * weights.y) + v2 * weights.z;
     let position = transform_point(&instance.world_from_local, local);
+    // Geometric normal from edges that are scaled to about 1.
     let edge_1 = v1 - v0;
     let edge_2 = v2 - v0;
     let extent = max_component(edge_1.abs().max(edge_2.abs()));
@@ -57,23 +62,27 @@ pub(crate) fn hit_point(instance: &InstanceRecord, triangle: &Triangle, weights:
         return HitPoint { position, normal: fallback, ray_offset: 0.0 };
     }
 
-    let reach = v0.abs().max(v1.abs()).max(v2.abs());
-    let round_trip = transform_abs(&instance.local_from_world, transform_abs(&instance.world_from_local, reach));
-    let error = TRANSFORM_ERROR_FACTOR * (reach + round_trip) + Vec3::splat(EDGE_ERROR * extent);
+    // Bound of the rounding error per coordinate, local space.
+    let max_abs = v0.abs().max(v1.abs()).max(v2.abs());
+    let round_trip = transform_abs(&instance.local_from_world, transform_abs(&instance.world_from_local, max_abs));
+    let error = TRANSFORM_ERROR_FACTOR * (max_abs + round_trip) + Vec3::splat(EDGE_ERROR * extent);
 
+    // Distance along the world-space normal that covers it.
     let scale = reciprocal_power_of_two(largest);
     let scaled_length = length3(world_normal * scale);
     let distance = (dot3(local_normal.abs(), error) * scale) / scaled_length;
     HitPoint { position, normal: world_normal * (scale / scaled_length), ray_offset: distance }
 }
 
-/// The largest absolute coordinates, and sums on the way to them, of the transformed points with coordinates up to `reach`.
-fn transform_abs(rows: &[[f32; 4]; 3], reach: Vec3) -> Vec3 {
-    let [x, y, z] = rows.map(|[x, y, z, w]| dot3(Vec3::new(x, y, z).abs(), reach) + w.abs());
+/// |M| (max_abs, 1): bounds every coordinate, and every partial sum, of a transformed point whose coordinates do not
+/// exceed `max_abs`.
+fn transform_abs(rows: &[[f32; 4]; 3], max_abs: Vec3) -> Vec3 {
+    let [x, y, z] = rows.map(|[x, y, z, w]| dot3(Vec3::new(x, y, z).abs(), max_abs) + w.abs());
     Vec3::new(x, y, z)
 }
 
-/// Where a ray that leaves the surface in a direction starts.
+/// The origin of a secondary ray with the given direction: the position offset along the geometric normal to the side
+/// that the direction points to.
 pub(crate) fn offset_ray_origin(surface: &Surface, direction: Vec3) -> Vec3 {
     if dot3(direction, surface.geometric_normal) >= 0.0 {
         return surface.position + surface.geometric_normal * surface.ray_offset;
@@ -119,8 +128,9 @@ mod tests {
         }
     }
 
-    /// A closed convex surface of revolution of `rows` by `columns` quads, within 1 of the origin: `radius_height` gives the
-    /// distance from the axis, and the height, of each row. The ends are fans of triangles, thin ones if there are many.
+    /// A closed convex surface of revolution of `rows` by `columns` quads, within 1 of the origin: `radius_height`
+    /// gives the distance from the axis, and the height, of each row. The ends are fans of triangles, thin ones if
+    /// there are many.
     fn lathed(rows: u32, columns: u32, scale: f32, radius_height: impl Fn(f32) -> (f32, f32)) -> Geometry {
         let mut positions = Vec::new();
         for row in 1..rows {
@@ -177,8 +187,8 @@ mod tests {
         offsets: [f32; 2],
     }
 
-    /// Rays from outside hit a convex mesh; those that leave the hit outward must meet nothing, those that leave inward the far
-    /// side from within.
+    /// Rays from outside hit a convex mesh; those that leave the hit outward must meet nothing, those that leave inward
+    /// the far side from within.
     fn check(name: &str, geometry: Geometry, place: DAffine3, size: f64, eye: DVec3, hits: u32, counts: &mut Counts) {
         let mut scene = Scene::new();
         let geometry = scene.add_geometry(geometry).unwrap();
@@ -253,7 +263,8 @@ mod tests {
         let turn = DQuat::from_axis_angle(DVec3::new(1.0, 2.0, 3.0).normalize(), 1.0);
         for scale in [1e-6, 1e-3, 1.0, 1e3, 1e6] {
             let stretch = DVec3::new(1.0, 3.0, -0.2);
-            // The size in the geometry, then in the instance; rotated and mirrored; a thousand times its size away from the eye.
+            // The size in the geometry, then in the instance; rotated and mirrored; a thousand times its size away from
+            // the eye.
             let places = [
                 (scale as f32, DAffine3::IDENTITY, DVec3::ZERO),
                 (1.0, DAffine3::from_scale_rotation_translation(stretch * scale, turn, DVec3::ZERO), DVec3::ZERO),

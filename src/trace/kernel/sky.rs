@@ -1,29 +1,30 @@
-//! The sky: radiance that changes with the sine of the elevation, linearly from the horizon up to the zenith and down to
-//! the ground. Twin of `shaders/shared/sky.wgsl`.
+//! The sky: radiance that changes with the sine of the elevation, linearly from the horizon up to the zenith and down
+//! to the ground. Twin of `shaders/shared/sky.wgsl`.
 
 use glam::Vec3;
 
 use super::math::{dot3, max, mix3};
 use crate::device::layout::FrameParams;
 
-/// Of the even powers of the height in [`cosine_product_integral`].
+/// Polynomial coefficients in the even powers of the sine of the elevation in [`cosine_product_integral`].
 pub(super) const COSINE_INTEGRAL_6: f32 = 0.012_317_886;
 pub(super) const COSINE_INTEGRAL_4: f32 = 0.000_506_380_14;
 pub(super) const COSINE_INTEGRAL_2: f32 = 0.107_993_014;
 pub(super) const COSINE_INTEGRAL_0: f32 = 0.212_146_21;
 
 pub(crate) fn sky_radiance(params: &FrameParams, direction: Vec3) -> Vec3 {
-    let height = dot3(direction, Vec3::from_array(params.sky_up)).clamp(-1.0, 1.0);
-    sky_gradient(params, max(height, 0.0), max(-height, 0.0))
+    let sine_elevation = dot3(direction, Vec3::from_array(params.sky_up)).clamp(-1.0, 1.0);
+    sky_gradient(params, max(sine_elevation, 0.0), max(-sine_elevation, 0.0))
 }
 
-/// What a white, matt surface reflects under the whole sky: irradiance over pi.
+/// Radiance of a white diffuse surface lit by the whole sky (irradiance / pi).
 pub(crate) fn sky_irradiance_over_pi(params: &FrameParams, normal: Vec3) -> Vec3 {
-    let height = dot3(normal, Vec3::from_array(params.sky_up)).clamp(-1.0, 1.0);
-    sky_gradient(params, cosine_product_integral(height), cosine_product_integral(-height))
+    let sine_elevation = dot3(normal, Vec3::from_array(params.sky_up)).clamp(-1.0, 1.0);
+    sky_gradient(params, cosine_product_integral(sine_elevation), cosine_product_integral(-sine_elevation))
 }
 
-/// The sky as a rough surface mirrors it: between the radiance and the ambient light. Approximate: GGX is no cosine lobe.
+/// The sky as reflected by a rough surface. Approximates the specular lobe by a blend of the mirror direction and a
+/// cosine lobe.
 pub(crate) fn sky_blurred(params: &FrameParams, direction: Vec3, roughness: f32) -> Vec3 {
     mix3(sky_radiance(params, direction), sky_irradiance_over_pi(params, direction), roughness * roughness)
 }
@@ -35,13 +36,14 @@ fn sky_gradient(params: &FrameParams, up: f32, down: f32) -> Vec3 {
     horizon + (towards_zenith + towards_ground)
 }
 
-/// The integral over all directions w of max(w.n, 0) max(w.up, 0) / pi with n.up = `height`. In closed form
-/// 2 / (3 pi) (sqrt(1 - h^2) + h (pi - acos h)): h / 3 and an even function, here a Chebyshev fit to 4e-4.
-fn cosine_product_integral(height: f32) -> f32 {
-    let square = height * height;
+/// The integral over all directions w of max(w.n, 0) max(w.up, 0) / pi with n.up = `sine_elevation`. In closed form 2 /
+/// (3 pi) (sqrt(1 - h^2) + h (pi - acos h)), h being that sine: h / 3 and an even function, here a Chebyshev fit to
+/// 4e-4.
+fn cosine_product_integral(sine_elevation: f32) -> f32 {
+    let square = sine_elevation * sine_elevation;
     let even =
         ((COSINE_INTEGRAL_6 * square + COSINE_INTEGRAL_4) * square + COSINE_INTEGRAL_2) * square + COSINE_INTEGRAL_0;
-    max(height * (1.0 / 3.0) + even, 0.0)
+    max(sine_elevation * (1.0 / 3.0) + even, 0.0)
 }
 
 #[cfg(test)]

@@ -1,11 +1,12 @@
-//! Textures: texels in one array (the paper's Tex), read as glTF samplers say. Twin of `shaders/shared/texture.wgsl`.
+//! Texture sampling with glTF sampler semantics; all texels lie in one array (the paper's Tex). Twin of
+//! `shaders/shared/texture.wgsl`.
 
 use glam::{Vec2, Vec4};
 
 use super::KernelScene;
 use crate::device::layout::{TextureFlags, TextureInfo};
 
-/// The curve of sRGB: a straight part, 1 / 12.92 steep, and a power of (c + 0.055) / 1.055. See [`linear_from_srgb`].
+/// sRGB decoding: a linear segment of slope 1/12.92, then a power of (c + 0.055) / 1.055. See [`linear_from_srgb`].
 pub(super) const SRGB_LINEAR_END: f32 = 0.04045;
 /// 1 / 12.92; like the two below a rounded quotient, not one of rounded numbers.
 pub(super) const SRGB_LINEAR_SLOPE: f32 = 0.077_399_38;
@@ -13,7 +14,7 @@ pub(super) const SRGB_LINEAR_SLOPE: f32 = 0.077_399_38;
 pub(super) const SRGB_SCALE: f32 = 0.947_867_3;
 /// 0.055 / 1.055.
 pub(super) const SRGB_OFFSET: f32 = 0.052_132_7;
-/// Of the powers of s.
+/// Polynomial coefficients in s, highest power first.
 pub(super) const SRGB_FIT_6: f32 = -1.075_061_1;
 pub(super) const SRGB_FIT_5: f32 = 4.978_437;
 pub(super) const SRGB_FIT_4: f32 = -9.720_242;
@@ -22,7 +23,7 @@ pub(super) const SRGB_FIT_2: f32 = -6.720_234;
 pub(super) const SRGB_FIT_1: f32 = 2.733_810_4;
 pub(super) const SRGB_FIT_0: f32 = -0.818_191;
 
-/// The filtered value of a texture at texture coordinates of the set that it uses.
+/// Bilinear or nearest sample at `tex_coord`.
 pub(crate) fn sample_texture(scene: &KernelScene<'_>, info: &TextureInfo, tex_coord: Vec2) -> Vec4 {
     let coord = image_coordinates(info, tex_coord);
     let [wrap_u, wrap_v] = wrap_modes(info);
@@ -32,7 +33,7 @@ pub(crate) fn sample_texture(scene: &KernelScene<'_>, info: &TextureInfo, tex_co
         return load_texel(scene, info, x.floor() as i32, y.floor() as i32);
     }
 
-    // Texel centres lie at half-integers: mix the four around the point.
+    // Texel centres lie at half-integers: interpolate the four around the point.
     let left = (x - 0.5).floor();
     let top = (y - 0.5).floor();
     let across = (x - 0.5) - left;
@@ -52,7 +53,7 @@ pub(crate) fn image_coordinates(info: &TextureInfo, tex_coord: Vec2) -> Vec2 {
     )
 }
 
-/// What lies beyond the ends of an axis.
+/// Wrap mode of one axis.
 #[derive(Clone, Copy, PartialEq)]
 enum Wrap {
     Repeat,
@@ -77,7 +78,7 @@ fn flags(info: &TextureInfo) -> TextureFlags {
     TextureFlags::from_bits_retain(info.flags)
 }
 
-/// Where a coordinate lies along an axis of `size` texels: within the image or, if mirrored, within twice its size.
+/// Position of an image coordinate along an axis, in texels: in 0..size or, if mirrored, in 0..2 size.
 fn texel_position(coord: f32, size: u32, wrap: Wrap) -> f32 {
     match wrap {
         Wrap::Clamp => coord.clamp(0.0, 1.0) * size as f32,
@@ -99,7 +100,7 @@ fn load_texel(scene: &KernelScene<'_>, info: &TextureInfo, column: i32, row: i32
     rgba
 }
 
-/// The texel that stands at index `i`, which is at most one texel beyond what [`texel_position`] gives.
+/// Index after wrapping; `i` is at most one texel outside the range of [`texel_position`].
 fn wrap_index(i: i32, size: i32, wrap: Wrap) -> i32 {
     let mut wrapped = i;
     match wrap {
@@ -124,12 +125,12 @@ fn wrap_index(i: i32, size: i32, wrap: Wrap) -> i32 {
             }
         }
     }
-    // For clamped axes, and for coordinates that are not numbers.
+    // For clamped axes, and for NaN coordinates.
     wrapped.clamp(0, size - 1)
 }
 
-/// The sRGB decoding of IEC 61966-2-1, ((c + 0.055) / 1.055)^2.4, to a relative error of 2e-5 (1/400 of the step between
-/// two 8-bit values): x^2.4 = x^2 s s^-0.2 with s = sqrt(x), and a Chebyshev fit of s^-0.2 that is 1 at 1.
+/// The sRGB decoding of IEC 61966-2-1, ((c + 0.055) / 1.055)^2.4, to a relative error of 2e-5 (1/400 of the step
+/// between two 8-bit values): x^2.4 = x^2 s s^-0.2 with s = sqrt(x), and a Chebyshev fit of s^-0.2 that is 1 at 1.
 ///
 /// A table of 256 values would be exact, but a shader that indexes a constant array copies it first on some drivers.
 pub(crate) fn linear_from_srgb(c: f32) -> f32 {
@@ -189,7 +190,7 @@ mod tests {
         rgba.x
     }
 
-    /// What stands at an index of an axis that goes on in both directions: written out, not computed.
+    /// The texel at an index of an axis that repeats in both directions: written out, not computed.
     const REPEATED: [usize; 12] = [0, 1, 2, 0, 1, 2, 0, 1, 2, 0, 1, 2];
     const MIRRORED: [usize; 12] = [0, 1, 2, 2, 1, 0, 0, 1, 2, 2, 1, 0];
     const CLAMPED: [usize; 12] = [0, 0, 0, 0, 0, 0, 0, 1, 2, 2, 2, 2];

@@ -1,4 +1,4 @@
-//! What the ways through the two levels have in common. They are `rope` and `wide`; the queries of `traverse` do not know which.
+//! State and interface common to the rope and the wide traversal; the queries are generic over it.
 
 use glam::Vec3;
 
@@ -8,30 +8,30 @@ use super::math::{transform_point, transform_vector};
 use crate::device::layout::{InstanceRecord, NONE, Node, PrimitiveRange, RayRecord};
 use crate::trace::TraversalCounts;
 
-/// A way through the two levels, from leaf of triangles to leaf of triangles.
+/// A two-level traversal as an iterator over BLAS leaves.
 pub(super) trait LeafTraversal {
-    /// Goes on to the next leaf of triangles whose box the ray meets up to `t_max`.
+    /// Advances to the next BLAS leaf whose box the ray intersects within [t_min, t_max]; `None` at the end.
     fn next_leaf(&mut self, scene: &KernelScene<'_>, t_max: f32) -> Option<PrimitiveRange>;
 
-    /// Where the ray is.
+    /// The ray and its current instance.
     fn ray(&self) -> &TraversalRay;
 
-    /// Notes that triangles are tested.
+    /// Adds `count` triangle tests to the counter.
     fn count_triangles(&mut self, count: u32);
 }
 
-/// The ray and the instance that it is in.
+/// The ray in world space and in the space of the level being traversed, with the current instance.
 pub(crate) struct TraversalRay {
-    /// The ray in world space.
+    /// Slab-test operands in world space.
     pub world_ray: SlabRay,
-    /// The ray in the space of the level that it is in.
+    /// Slab-test operands in the current space: world in the TLAS, local in an instance.
     pub level_ray: SlabRay,
-    /// The ray in the space of the instance that it is in, if any.
+    /// Triangle-test operands in the instance's local space; unset in the TLAS.
     pub local_shear: ShearRay,
     pub direction: Vec3,
     pub t_min: f32,
     pub ray_mask: u32,
-    /// [`NONE`] in the top level.
+    /// The current instance, or [`NONE`] in the TLAS.
     pub instance: u32,
     pub first_triangle: u32,
     pub flags: u32,
@@ -53,7 +53,8 @@ impl TraversalRay {
         }
     }
 
-    /// Enters an instance, and returns the ray's origin and direction in its space. `None` where its mask hides it.
+    /// Enters an instance, and returns the ray's origin and direction in its space. `None` if the instance's mask and
+    /// the ray mask share no bit.
     pub(crate) fn enter_instance<'a>(
         &mut self,
         scene: &KernelScene<'a>,
@@ -78,14 +79,14 @@ impl TraversalRay {
     }
 }
 
-/// The first node of the top level, or [`NONE`]: a hierarchy of nothing is absent or zero, and no escape index leads back to
-/// node 0.
+/// Index of the TLAS root, or [`NONE`] for an empty TLAS: no nodes, or a zeroed root (escape index 0, which no valid
+/// node has).
 pub(super) fn tlas_root(tlas_nodes: &[Node]) -> u32 {
     let is_empty = tlas_nodes.first().is_none_or(Node::is_empty_root);
     if is_empty { NONE } else { 0 }
 }
 
-/// Keeps count of what is read, or, as `()`, does not.
+/// Traversal statistics; the implementation for `()` compiles to nothing.
 pub(crate) trait TraversalCounter: Default {
     /// An element was read.
     fn read<T>(&mut self, _: &T) {}

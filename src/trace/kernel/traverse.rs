@@ -93,7 +93,7 @@ pub(crate) fn run_query<C: TraversalCounter, Q: Query>(
     ray_mask: u32,
     mut query: Q,
 ) -> (Q, C) {
-    match scene.layout {
+    match scene.traversal {
         Traversal::Rope => {
             let mut traversal = RopeTraversal::new(scene, ray, ray_mask);
             intersect_leaves(scene, &mut traversal, &mut query);

@@ -1,17 +1,18 @@
-//! One pixel: T. Whitted's recursion (*An Improved Illumination Model for Shaded Display*, 1980) as a loop over rays that
-//! wait. Twin of `shaders/shared/whitted.wgsl`.
+//! One pixel: T. Whitted's recursion (*An Improved Illumination Model for Shaded Display*, 1980) as a loop over a stack
+//! of pending rays. Twin of `shaders/shared/whitted.wgsl`, in which `render_pixel` contains what [`RayTree`] leaves to
+//! its caller here, so that callers can trace the rays of many pixels together.
 //!
 //! What is approximate:
-//! - A ray too deep ([`FrameParams::max_depth`], at most [`MAX_DEPTH`]), behind too many blended layers ([`MAX_LAYERS`]), or
-//!   carrying too little ([`MIN_THROUGHPUT`]) sees the sky instead of the scene; so do the rays after the first [`MAX_RAYS`] of
-//!   a pixel. The energy stays right: under a uniform sky nothing changes.
+//! - A ray too deep ([`FrameParams::max_depth`], at most [`MAX_DEPTH`]), behind too many blended layers
+//!   ([`MAX_LAYERS`]), or with throughput below [`MIN_THROUGHPUT`] sees the sky instead of the scene; so do the rays
+//!   after the first [`MAX_RAYS`] of a pixel. This keeps energy: under a uniform sky the image does not change.
 //! - The sky's light is not shadowed: there is no ambient occlusion.
-//! - Rough surfaces mirror the scene sharply where they are nearly polished, and a blurred sky where they are not; in between
-//!   the two are mixed. Rough glass transmits as sharply as polished glass.
-//! - A transmissive surface that encloses something is the skin of a solid and bends light by its index of refraction; any
-//!   other ([`THIN`](crate::device::layout::InstanceFlags::THIN), which the compiler finds out) is a pane and lets it pass
-//!   straight. `KHR_materials_transmission` alone means thin walls everywhere, but then a glass sphere would look like a soap
-//!   bubble. Which side is inside follows from the winding; solids within solids are each refracted against air. A solid is
+//! - Nearly smooth surfaces reflect the scene sharply, rough ones a blurred sky; in between the two are mixed. Rough
+//!   glass transmits as sharply as smooth glass.
+//! - A transmissive surface that encloses a volume bounds a solid and refracts light by its index of refraction; any
+//!   other ([`THIN`](crate::device::layout::InstanceFlags::THIN), decided by the compiler) is a thin wall, and light
+//!   passes straight. `KHR_materials_transmission` alone means thin walls everywhere, but then a glass sphere would not
+//!   refract. Which side is inside follows from the winding; nested solids are each refracted against air. A solid is
 //!   tinted by its base colour once, by the square root at each crossing.
 
 use glam::{Vec3, Vec4, Vec4Swizzles as _};
@@ -29,22 +30,24 @@ use super::traverse::RayQueries;
 use crate::device::Needs;
 use crate::device::layout::{FrameParams, HitRecord, LightRecord, MaterialFlags, NONE, RayRecord};
 
-/// The most reflections and refractions of a path, whatever `max_depth` says: [`View::MAX_DEPTH`](crate::View::MAX_DEPTH).
+/// Greatest number of reflections and refractions of a ray, whatever `max_depth` says:
+/// [`View::MAX_DEPTH`](crate::View::MAX_DEPTH).
 pub(crate) const MAX_DEPTH: u32 = 8;
-/// The most blended surfaces that a path goes through between two of those.
+/// Most blended surfaces that a ray passes between two reflections or refractions.
 pub(super) const MAX_LAYERS: u32 = 32;
-/// The most rays of a pixel, shadow rays not counted.
+/// Most rays of a pixel, shadow rays not counted.
 pub(super) const MAX_RAYS: u32 = 256;
-/// A ray that carries less cannot change an 8-bit pixel by seeing radiance up to 1: half the smallest sRGB step is
-/// 0.5 / 255 / 12.92 = 1.24 * 2^-13.
+/// Rays of less throughput see the sky instead of the scene. For radiance up to 1 that cannot change an 8-bit pixel, as
+/// half the smallest sRGB step is 0.5 / 255 / 12.92 = 1.24 * 2^-13; brighter radiance can.
 pub(super) const MIN_THROUGHPUT: f32 = 1.0 / (1 << 13) as f32;
-/// A level of depth leaves at most two rays waiting, one for what lies behind alpha and one of the refracted and the
-/// mirrored; one more is the ray to be traced next.
+/// Each level of depth leaves at most two pending rays: one behind a blended surface (`BLEND`), and the first pushed of
+/// the refracted and the reflected ray (`REFRACTION`; with reflection alone that ray is traced next). One more is the
+/// ray to be traced next.
 ///
-/// In WGSL, where memory is dear, 1, 9 or 17 by what the scene needs. Here always 17: what is not needed never waits.
+/// In WGSL, where private memory is scarce, 1, 9 or 17 by the scene's needs; here always 17.
 pub(super) const MAX_PENDING: usize = 1 + 2 * MAX_DEPTH as usize;
 
-/// The most rays that a pixel can need, shadow rays not counted: how much work a dispatch may be.
+/// Upper bound on rays per pixel, shadow rays not counted, by which dispatches are sized.
 #[cfg(feature = "gpu")]
 pub(crate) fn max_rays_per_pixel(max_depth: u32, needs: Needs) -> u32 {
     let depth = max_depth.min(MAX_DEPTH);
@@ -56,21 +59,21 @@ pub(crate) fn max_rays_per_pixel(max_depth: u32, needs: Needs) -> u32 {
     }
 }
 
-/// What a primary ray brings back.
+/// Outputs of one pixel.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Pixel {
     /// Linear radiance, and 1: the sky is part of the image.
     pub color: Vec4,
-    /// Unit shading normal, towards the camera; zero where nothing was met.
+    /// Unit shading normal, facing the camera, world space; zero where the primary ray missed.
     pub normal: Vec3,
-    /// Distance from the camera, or `f32::MAX` where nothing was met.
+    /// Distance from the camera, world units; `f32::MAX` where the primary ray missed.
     pub distance: f32,
-    /// Node slot, node version, primitive, instance; [`NONE`] (version 1: the null key) where nothing was met.
+    /// Node slot, node version, primitive, instance; [`NONE`] (version 1: the null key) where the primary ray missed.
     pub ids: [u32; 4],
 }
 
 impl Pixel {
-    /// Nothing was met.
+    /// Outputs where the primary ray missed.
     pub(crate) const MISS: Self =
         Self { color: Vec4::ZERO, normal: Vec3::ZERO, distance: f32::MAX, ids: [NONE, 1, NONE, NONE] };
 }
@@ -81,29 +84,29 @@ struct PendingRay {
     bounces: u32,
     direction: Vec3,
     layers: u32,
-    /// The part of what it sees that reaches the camera.
+    /// Factor by which its radiance contributes to the pixel.
     throughput: Vec3,
 }
 
-/// A pixel that is being rendered: what it has seen so far, and the rays that wait.
+/// A pixel in progress: radiance so far and a stack of pending rays.
 pub(crate) struct RayTree {
     pixel: Pixel,
     color: Vec3,
-    /// Rays that have been traced.
+    /// Number of rays traced so far.
     traced_rays: u32,
     pending_count: usize,
-    /// The ray that is being traced is kept behind those that wait.
+    /// The stack; `pending[pending_count]` is the ray being traced.
     pending: [PendingRay; MAX_PENDING],
 }
 
-/// A surface that a ray of a path has met.
+/// A ray and the surface it hit.
 pub(crate) struct SurfaceHit {
     ray: PendingRay,
     surface: Surface,
 }
 
 impl SurfaceHit {
-    /// `None` where nothing of that light goes back along the ray.
+    /// The light's sample at this surface, or `None` if it contributes nothing.
     pub(crate) fn light_sample(&self, light: &LightRecord) -> Option<LightSample> {
         if self.surface.flags.contains(MaterialFlags::UNLIT) {
             return None;
@@ -112,28 +115,33 @@ impl SurfaceHit {
     }
 }
 
-/// `primary` goes through the pixel.
+/// Renders the pixel of which `primary` is the primary ray.
 pub(crate) fn render_pixel<'a>(rays: &mut impl RayQueries<'a>, params: &FrameParams, primary: &RayRecord) -> Pixel {
-    let mut path = RayTree::default();
-    path.reset(primary);
+    let mut tree = RayTree::default();
+    // Push the primary ray.
+    tree.reset(primary);
     let scene = rays.scene();
-    while let Some(ray) = path.next_ray() {
+    while let Some(ray) = tree.next_ray() {
+        // Trace the next ray; a miss adds the sky.
         let hit = rays.closest_hit(&ray, params.ray_mask);
-        let Some(met) = path.record_hit(scene, params, &hit) else { continue };
-        let lit = active_lights(scene, params).iter().filter_map(|light| met.light_sample(light));
-        let light = lit.fold(Vec3::ZERO, |sum, lit| sum + lit.radiance(rays.transmittance(&lit.ray, params.ray_mask)));
-        path.shade(params, &met, light);
+        let Some(surface_hit) = tree.record_hit(scene, params, &hit) else { continue };
+        // Sample the lights.
+        let samples = active_lights(scene, params).iter().filter_map(|light| surface_hit.light_sample(light));
+        let light = samples
+            .fold(Vec3::ZERO, |sum, sample| sum + sample.radiance(rays.transmittance(&sample.ray, params.ray_mask)));
+        // Shade, and push secondary rays.
+        tree.shade(params, &surface_hit, light);
     }
-    path.finish(params)
+    tree.finish(params)
 }
 
-/// The lights that are on.
+/// The first `params.light_count` lights.
 pub(crate) fn active_lights<'a>(scene: &KernelScene<'a>, params: &FrameParams) -> &'a [LightRecord] {
     &scene.lights[..scene.lights.len().min(params.light_count as usize)]
 }
 
 impl Default for RayTree {
-    /// Nothing is to be traced.
+    /// A finished pixel without pending rays.
     fn default() -> Self {
         let nowhere =
             PendingRay { origin: Vec3::ZERO, bounces: 0, direction: Vec3::ZERO, layers: 0, throughput: Vec3::ZERO };
@@ -148,7 +156,7 @@ impl Default for RayTree {
 }
 
 impl RayTree {
-    /// Forgets all and begins with a ray through the pixel.
+    /// Resets to a primary ray.
     pub(crate) fn reset(&mut self, primary: &RayRecord) {
         let [origin, direction] = [primary.origin, primary.direction].map(Vec3::from_array);
         (self.pixel, self.color, self.traced_rays) = (Pixel::MISS, Vec3::ZERO, 0);
@@ -156,8 +164,8 @@ impl RayTree {
         self.pending_count = 1;
     }
 
-    /// The ray that is to be traced now; then [`record_hit`](Self::record_hit) is told what it hits, and where that is a surface,
-    /// [`shade`](Self::shade) what light it gets. None where nothing is to be traced any more.
+    /// Pops the next ray to trace, or `None` when the pixel is finished. The caller traces it, passes the hit to
+    /// [`record_hit`](Self::record_hit) and, if that returns a surface, the lights' radiance to [`shade`](Self::shade).
     pub(crate) fn next_ray(&mut self) -> Option<RayRecord> {
         if self.traced_rays == MAX_RAYS {
             return None;
@@ -167,7 +175,8 @@ impl RayTree {
         Some(RayRecord { origin: origin.to_array(), t_min: 0.0, direction: direction.to_array(), t_max: f32::MAX })
     }
 
-    /// The ray has hit that: either the sky, which is seen at once, or a surface.
+    /// Records the hit of the current ray: a miss adds sky radiance and returns `None`; a hit returns the surface to
+    /// shade.
     pub(crate) fn record_hit(
         &mut self,
         scene: &KernelScene<'_>,
@@ -190,11 +199,11 @@ impl RayTree {
         Some(SurfaceHit { ray, surface })
     }
 
-    /// Adds what the surface sends back along the ray, `light` of it from lights, and the rays that must be traced to know the
-    /// rest. What lies behind a blended surface comes last, so that nothing of this surface waits while it is traced: see
-    /// [`MAX_PENDING`].
+    /// Adds the surface's emitted and reflected radiance, `light` of it from lights, and pushes its secondary rays. The
+    /// ray behind a blended surface is pushed first, so it is traced last, and no other ray of this surface is pending
+    /// then (see [`MAX_PENDING`]).
     pub(crate) fn shade(&mut self, params: &FrameParams, SurfaceHit { ray, surface }: &SurfaceHit, light: Vec3) {
-        // 1. Alpha divides the light between what lies behind and the surface.
+        // 1. Alpha blends the surface over the ray behind it.
         let mut throughput = ray.throughput;
         if surface.flags.contains(MaterialFlags::BLEND) {
             let alpha = surface.base_color.w;
@@ -208,36 +217,40 @@ impl RayTree {
             return;
         }
 
-        // 2. Light from the surface itself, from lights, and from the sky.
+        // 2. Add emitted light and the light reflected from the lights and the sky.
         let to_viewer = -ray.direction;
         let cosine = dot3(surface.normal, to_viewer);
         let eta = relative_ior(surface);
-        let shares = lobe_weights(surface, cosine, eta);
-        let mirrored = clamp_cosine(surface.normal * (2.0 * cosine) - to_viewer, surface.geometric_normal);
+        let lobes = lobe_weights(surface, cosine, eta);
+        let reflected_direction = clamp_cosine(surface.normal * (2.0 * cosine) - to_viewer, surface.geometric_normal);
         let sharp = traced_reflection_share(surface.roughness);
-        let mut radiance = surface.emissive + shares.diffuse * sky_irradiance_over_pi(params, surface.normal);
+        let mut radiance = surface.emissive + lobes.diffuse * sky_irradiance_over_pi(params, surface.normal);
         if sharp < 1.0 {
-            radiance += shares.specular_reflection * (sky_blurred(params, mirrored, surface.roughness) * (1.0 - sharp));
+            radiance += lobes.specular_reflection
+                * (sky_blurred(params, reflected_direction, surface.roughness) * (1.0 - sharp));
         }
         radiance += light;
         self.color += throughput * radiance;
 
-        // 3. Light through the surface, and light mirrored by it.
+        // 3. Push the refracted and the reflected ray.
         let depth = ray.bounces + 1;
         if surface.transmission > 0.0 {
             let direction = refracted_direction(surface, ray.direction, cosine, eta);
             let origin = offset_ray_origin(surface, direction);
-            let throughput = throughput * shares.specular_transmission;
+            let throughput = throughput * lobes.specular_transmission;
             self.push_ray(params, PendingRay { origin, bounces: depth, direction, layers: 0, throughput });
         }
         if sharp > 0.0 {
-            let origin = offset_ray_origin(surface, mirrored);
-            let throughput = throughput * (shares.specular_reflection * sharp);
-            self.push_ray(params, PendingRay { origin, bounces: depth, direction: mirrored, layers: 0, throughput });
+            let origin = offset_ray_origin(surface, reflected_direction);
+            let throughput = throughput * (lobes.specular_reflection * sharp);
+            self.push_ray(
+                params,
+                PendingRay { origin, bounces: depth, direction: reflected_direction, layers: 0, throughput },
+            );
         }
     }
 
-    /// Lets a ray wait to be traced; one that is too deep or carries too little sees the sky at once.
+    /// Pushes a ray; beyond the depth or layer limit, or below [`MIN_THROUGHPUT`], adds sky radiance instead.
     fn push_ray(&mut self, params: &FrameParams, ray: PendingRay) {
         let is_deep = ray.bounces > params.max_depth.min(MAX_DEPTH) || ray.layers > MAX_LAYERS;
         let count = self.pending_count;
@@ -249,7 +262,7 @@ impl RayTree {
         self.pending_count = count + 1;
     }
 
-    /// The pixel, once there is no next ray. Rays beyond the limit see the sky.
+    /// Returns the finished pixel. Rays still pending after [`MAX_RAYS`] contribute sky radiance.
     pub(crate) fn finish(&mut self, params: &FrameParams) -> Pixel {
         for ray in &self.pending[..self.pending_count] {
             self.color += ray.throughput * sky_radiance(params, ray.direction);
@@ -258,7 +271,7 @@ impl RayTree {
     }
 }
 
-/// Index of refraction of the viewer's side over that of the other, 0 where that is infinite.
+/// Relative index of refraction, n of the viewer's side over n of the other (air = 1); 0 if the latter is infinite.
 fn relative_ior(surface: &Surface) -> f32 {
     if surface.is_inside || surface.ior <= 0.0 {
         return surface.ior;
@@ -266,7 +279,7 @@ fn relative_ior(surface: &Surface) -> f32 {
     1.0 / surface.ior
 }
 
-/// Where a ray goes on behind the surface: bent by Snell's law, or straight through a thin one.
+/// Direction of the transmitted ray: refracted by Snell's law, or unchanged by a thin wall.
 fn refracted_direction(surface: &Surface, direction: Vec3, cosine: f32, eta: f32) -> Vec3 {
     if surface.thin {
         return direction;
