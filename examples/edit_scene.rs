@@ -6,9 +6,10 @@
 use comfy_table::Table;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use ropewalk::glam::{DQuat, DVec3, Vec3};
+use ropewalk::graph::{KeepTransform, Lod, Switch};
 use ropewalk::{
-    Core, CoreKey, DeviceChoice, FrameReport, Geometry, GeometryKey, KeepTransform, Light, Lod, Material, MaterialKey,
-    NodeKey, Renderer, RendererOptions, Result, Scene, Switch, Transform, View,
+    Core, CoreKey, FrameReport, Geometry, GeometryKey, Light, Material, MaterialKey, NodeKey, Renderer,
+    RendererOptions, Result, Scene, Transform, View,
 };
 
 fn main() -> Result<()> {

@@ -48,6 +48,7 @@ pub mod graph;
 pub mod guide;
 pub mod image;
 pub mod math;
+pub mod prelude;
 pub mod query;
 pub mod render;
 pub mod trace;
@@ -56,15 +57,15 @@ pub use error::{Error, Result};
 /// The vectors, quaternions and matrices of this interface.
 pub use glam;
 pub use graph::{
-    AlphaMode, Billboard, BlasKind, Camera, Change, ChangeCursor, Changes, Core, CoreKey, CoreSource, Delta, Descend,
-    EditQueue, EditSender, FilterMode, Geometry, GeometryKey, Hierarchy, KeepTransform, Light, LightKind, Lod,
-    LodMetric, Material, MaterialKey, NodeKey, NodePath, NodeState, ObjectKey, ObjectState, PendingEdit, Quality,
-    Recorder, Replay, ResolvedEntry, Sampler, Scene, SceneFileError, SceneId, Switch, Texture, TextureKey, TextureRef,
-    Transform, Visitor, WrapMode,
+    Camera, Core, CoreKey, Geometry, GeometryKey, Light, Material, MaterialKey, NodeKey, Scene, Texture, TextureKey,
+    Transform,
 };
-pub use math::{Aabb, Bounds};
-pub use query::{Hit, Queries, Ray, Region};
-pub use render::{ClosestHits, DeviceChoice, Frame, FrameReport, Renderer, RendererOptions, Sky, View};
+pub use image::Image;
+pub use query::{Hit, Ray};
+pub use render::{DeviceChoice, Frame, FrameReport, Renderer, RendererOptions, Sky, View};
+/// The GPU interface whose devices, queues and textures [`trace::gpu`] takes and gives.
+#[cfg(feature = "gpu")]
+pub use wgpu;
 
 /// The README's program compiles.
 #[cfg(doctest)]

@@ -6,8 +6,9 @@ use glam::DVec3;
 use peak_alloc::PeakAlloc;
 use proptest::strategy::{Strategy, ValueTree};
 use proptest::test_runner::TestRunner;
+use ropewalk::Scene;
 use ropewalk::compile::Compiler;
-use ropewalk::{ChangeCursor, Scene};
+use ropewalk::graph::ChangeCursor;
 use ropewalk_testkit::canonical::Canonical;
 use ropewalk_testkit::world::{World, edit_with_geometries};
 

@@ -15,7 +15,8 @@ use obvhs::bvh2::builder::build_bvh2;
 use ropewalk::accel::{Blas, BlasBuildParams};
 use ropewalk::compile::Compiler;
 use ropewalk::device::layout::NONE;
-use ropewalk::{BlasKind, Core, Geometry, Material, Quality, Scene, gltf};
+use ropewalk::graph::{BlasKind, Quality};
+use ropewalk::{Core, Geometry, Material, Scene, gltf};
 use ropewalk_bench::{Contender, Options, Report, Target, medians, milliseconds, time};
 
 /// The factors by which the cost may grow since the last build before a rebuild.

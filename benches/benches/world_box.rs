@@ -7,7 +7,8 @@ use std::process::ExitCode;
 use clap::Parser;
 use glam::{DAffine3, DQuat, DVec3};
 use ropewalk::accel::{Blas, BlasBuildParams, SupportFunction};
-use ropewalk::{Bounds, Geometry, Scene, gltf};
+use ropewalk::math::Bounds;
+use ropewalk::{Geometry, Scene, gltf};
 use ropewalk_bench::{Contender, Options, Report, Target, medians, time};
 
 /// The goal for the time of a call.

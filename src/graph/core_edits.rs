@@ -112,7 +112,8 @@ impl Scene {
     /// O(users).
     ///
     /// ```
-    /// use ropewalk::{Core, Scene, Switch};
+    /// use ropewalk::graph::Switch;
+    /// use ropewalk::{Core, Scene};
     ///
     /// let mut scene = Scene::new();
     /// let switch = scene.add_core(Core::Switch(Switch::All))?;

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 ///
 /// With `hysteresis` h the current level is kept until the measure exceeds a threshold by the factor 1 + h (moving
 /// away) or falls below it by 1 - h (approaching), which prevents flicker at a threshold. (The current level is lost
-/// when the flattened [hierarchy](crate::Hierarchy) is rebuilt.)
+/// when the flattened [hierarchy](crate::graph::Hierarchy) is rebuilt.)
 ///
 /// As OpenSG's `DistanceLOD` and `ScreenLOD`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -52,7 +52,7 @@ impl Lod {
     /// The level for a measured distance or size, where `current` is the level shown before. O(thresholds).
     ///
     /// ```
-    /// use ropewalk::Lod;
+    /// use ropewalk::graph::Lod;
     ///
     /// let lod = Lod { hysteresis: 0.1, ..Lod::by_distance([10.0, 20.0]) };
     /// assert_eq!(lod.select_level(10.5, None), 1);

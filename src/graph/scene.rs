@@ -180,7 +180,8 @@ impl Scene {
     /// first time.
     ///
     /// ```
-    /// use ropewalk::{Change, Changes, ObjectKey, Scene};
+    /// use ropewalk::graph::{Change, Changes, ObjectKey};
+    /// use ropewalk::Scene;
     ///
     /// let mut scene = Scene::new();
     /// let mut cursor = scene.subscribe();

@@ -44,7 +44,8 @@ impl Scene {
     ///
     /// ```
     /// use std::ops::ControlFlow::{self, Break, Continue};
-    /// use ropewalk::{Descend, NodeKey, Scene, Transform};
+    /// use ropewalk::graph::Descend;
+    /// use ropewalk::{NodeKey, Scene, Transform};
     ///
     /// let mut scene = Scene::new();
     /// let arm = scene.add(scene.root(), Transform::IDENTITY)?;

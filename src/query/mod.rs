@@ -42,7 +42,8 @@ use crate::math::{Aabb, Bounds};
 ///
 /// ```
 /// use ropewalk::glam::{DVec3, Vec3};
-/// use ropewalk::{Bounds, Core, DeviceChoice, Geometry, Material, Renderer, RendererOptions, Scene, Transform};
+/// use ropewalk::math::Bounds;
+/// use ropewalk::{Core, DeviceChoice, Geometry, Material, Renderer, RendererOptions, Scene, Transform};
 /// use ropewalk::query::{Overlap, Ray, Region};
 ///
 /// // A triangle at z = -5.

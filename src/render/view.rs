@@ -119,7 +119,7 @@ impl View {
     }
 
     /// The view frustum in world space: it begins at the camera and has no far plane. For
-    /// [`Queries::overlapping`](crate::Queries::overlapping).
+    /// [`Queries::overlapping`](crate::query::Queries::overlapping).
     ///
     /// # Errors
     /// As [`validate`](Self::validate), and [`Error::OutOfRange`] for an image without pixels or a pose whose axes lie in a plane.

@@ -2,9 +2,9 @@
 //! they hit in a new structure.
 
 use glam::{DAffine3, Quat, Vec3};
-use ropewalk::Quality;
 use ropewalk::accel::{Blas, BlasBuildParams};
 use ropewalk::device::layout::{HitRecord, NONE, RayRecord, Triangle};
+use ropewalk::graph::Quality;
 use ropewalk::graph::{BlasKind, Geometry};
 use ropewalk::math::Aabb;
 use ropewalk::trace::{Emulated, Tracer};

@@ -4,9 +4,10 @@
 
 use glam::{DQuat, DVec3, Vec3};
 use ropewalk::compile::{Compiler, Viewpoint};
+use ropewalk::graph::{Billboard, Hierarchy, KeepTransform, Lod, Switch};
 use ropewalk::{
-    Billboard, Camera, Core, DeviceChoice, Error, Geometry, GeometryKey, Hierarchy, KeepTransform, Light, Lod,
-    Material, MaterialKey, NodeKey, Renderer, RendererOptions, Scene, Switch, Transform, View,
+    Camera, Core, DeviceChoice, Error, Geometry, GeometryKey, Light, Material, MaterialKey, NodeKey, Renderer,
+    RendererOptions, Scene, Transform, View,
 };
 
 const SIZE: u32 = 33;

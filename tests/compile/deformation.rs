@@ -7,9 +7,8 @@ use std::sync::Arc;
 use glam::{DVec3, Quat, Vec3};
 use ropewalk::accel::{Blas, BlasBuildParams};
 use ropewalk::compile::{BlasBuildReasons, CompileReport, Compiler};
-use ropewalk::{
-    BlasKind, Change, ChangeCursor, Changes, Core, Delta, Error, Geometry, Material, ObjectKey, Quality, Scene,
-};
+use ropewalk::graph::{BlasKind, Change, ChangeCursor, Changes, Delta, ObjectKey, Quality};
+use ropewalk::{Core, Error, Geometry, Material, Scene};
 
 const CORNERS: [Vec3; 4] = [Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::ONE];
 

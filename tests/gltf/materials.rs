@@ -7,7 +7,8 @@ use base64::Engine;
 use glam::{Affine2, Vec2, Vec3, Vec4};
 use image::{DynamicImage, ImageFormat, RgbaImage};
 use ropewalk::gltf::{self, BufferFault, GltfFault, ImportOptions, UriFault, WarningKind};
-use ropewalk::{AlphaMode, FilterMode, Material, Sampler, Scene, Texture, TextureRef, WrapMode};
+use ropewalk::graph::{AlphaMode, FilterMode, Sampler, TextureRef, WrapMode};
+use ropewalk::{Material, Scene, Texture};
 use serde_json::{Value, json};
 
 use super::fixture::*;

@@ -2,7 +2,8 @@
 
 use glam::{DMat3, DVec3, Vec2, Vec3};
 use ropewalk::gltf::{self, GltfFault, ImportOptions, SceneSelector};
-use ropewalk::{Camera, Core, Error, Light, LightKind, Scene, Transform};
+use ropewalk::graph::LightKind;
+use ropewalk::{Camera, Core, Error, Light, Scene, Transform};
 use serde_json::json;
 
 use super::fixture::*;

@@ -4,10 +4,9 @@
 use std::f32::consts::PI;
 
 use glam::{Affine2, DAffine3, DMat3, DQuat, DVec3, Vec2, Vec3, Vec4};
-use ropewalk::{
-    AlphaMode, Bounds, Camera, Changes, Core, Error, Geometry, KeepTransform, Light, LightKind, Material, NodeKey,
-    Scene, Texture, TextureRef, Transform,
-};
+use ropewalk::graph::{AlphaMode, Changes, KeepTransform, LightKind, TextureRef};
+use ropewalk::math::Bounds;
+use ropewalk::{Camera, Core, Error, Geometry, Light, Material, NodeKey, Scene, Texture, Transform};
 
 const X: DVec3 = DVec3::X;
 

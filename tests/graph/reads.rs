@@ -7,7 +7,8 @@ use std::ops::ControlFlow::{self, Break, Continue};
 
 use glam::Vec3;
 use proptest::prelude::*;
-use ropewalk::{Core, Descend, Error, Geometry, Material, NodeKey, Scene, Transform, Visitor};
+use ropewalk::graph::{Descend, Visitor};
+use ropewalk::{Core, Error, Geometry, Material, NodeKey, Scene, Transform};
 
 /// Records the calls of a visitor; skips the subtrees of nodes of one name, and breaks off after some calls.
 struct Recorder<'a> {

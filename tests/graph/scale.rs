@@ -1,7 +1,8 @@
 //! Scenes that are very deep, very wide or very large: nothing overflows the stack, and edits cost what they change.
 
 use glam::DVec3;
-use ropewalk::{Error, KeepTransform, NodeKey, Scene, Transform};
+use ropewalk::graph::KeepTransform;
+use ropewalk::{Error, NodeKey, Scene, Transform};
 
 const STEP: DVec3 = DVec3::new(1.0, 0.0, 0.0);
 

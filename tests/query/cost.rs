@@ -2,8 +2,10 @@
 
 use glam::DVec3;
 use ropewalk::compile::Compiler;
+use ropewalk::math::Bounds;
 use ropewalk::query::Overlap;
-use ropewalk::{Bounds, Camera, Core, Geometry, Material, Queries, Ray, Region, Scene, Transform, View};
+use ropewalk::query::{Queries, Region};
+use ropewalk::{Camera, Core, Geometry, Material, Ray, Scene, Transform, View};
 
 use ropewalk_testkit::{Mesh, Random};
 

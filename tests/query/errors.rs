@@ -2,10 +2,10 @@
 
 use glam::{DAffine3, DMat3, DVec3};
 use ropewalk::compile::Compiler;
+use ropewalk::math::Bounds;
 use ropewalk::query::{HalfSpace, Overlap};
-use ropewalk::{
-    Bounds, Camera, DeviceChoice, Error, Queries, Ray, Region, Renderer, RendererOptions, Result, Scene, View,
-};
+use ropewalk::query::{Queries, Region};
+use ropewalk::{Camera, DeviceChoice, Error, Ray, Renderer, RendererOptions, Result, Scene, View};
 
 #[expect(clippy::needless_pass_by_value, reason = "a result is asked once")]
 fn is_out_of_range<T>(result: Result<T>, expected: &str) -> bool {

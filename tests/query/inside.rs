@@ -5,7 +5,9 @@ use std::cell::Cell;
 use glam::DVec3;
 use proptest::prelude::*;
 use ropewalk::compile::Compiler;
-use ropewalk::{Bounds, Core, Geometry, Material, Queries, Scene};
+use ropewalk::math::Bounds;
+use ropewalk::query::Queries;
+use ropewalk::{Core, Geometry, Material, Scene};
 
 use super::scenes::{World, check, compiled, drawn};
 use ropewalk_testkit::Mesh;

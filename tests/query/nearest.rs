@@ -4,7 +4,7 @@ use std::cell::Cell;
 
 use glam::DVec3;
 use proptest::prelude::*;
-use ropewalk::Queries;
+use ropewalk::query::Queries;
 
 use super::scenes::{World, check, compiled, drawn};
 

@@ -2,8 +2,9 @@
 //! error in f64.
 
 use glam::DVec3;
+use ropewalk::Ray;
 use ropewalk::graph::AlphaMode;
-use ropewalk::{NodePath, Ray};
+use ropewalk::graph::NodePath;
 
 use super::scenes::Drawn;
 

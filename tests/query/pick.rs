@@ -4,10 +4,11 @@ use std::collections::BTreeSet;
 
 use glam::{DQuat, DVec3, Vec2, Vec3, Vec4};
 use ropewalk::graph::AlphaMode;
+use ropewalk::graph::Lod;
 use ropewalk::query::Overlap;
+use ropewalk::query::{Queries, Region};
 use ropewalk::{
-    Camera, Core, DeviceChoice, Geometry, Lod, Material, NodeKey, Queries, Ray, Region, Renderer, RendererOptions,
-    Scene, Transform, View,
+    Camera, Core, DeviceChoice, Geometry, Material, NodeKey, Ray, Renderer, RendererOptions, Scene, Transform, View,
 };
 
 use ropewalk_testkit::{Mesh, Random};

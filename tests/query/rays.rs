@@ -6,7 +6,9 @@ use glam::{DVec3, Vec3, Vec4};
 use proptest::prelude::*;
 use ropewalk::compile::Compiler;
 use ropewalk::graph::AlphaMode;
-use ropewalk::{Core, Geometry, Hit, Material, NodePath, Queries, Ray, Scene};
+use ropewalk::graph::NodePath;
+use ropewalk::query::Queries;
+use ropewalk::{Core, Geometry, Hit, Material, Ray, Scene};
 
 use super::oracle::{Candidate, candidates};
 use super::scenes::{Dice, Drawn, World, check, compiled, drawn};

@@ -5,8 +5,11 @@ use std::collections::HashSet;
 
 use glam::{DVec3, Vec2};
 use proptest::prelude::*;
+use ropewalk::graph::NodePath;
+use ropewalk::math::Bounds;
 use ropewalk::query::{HalfSpace, Overlap};
-use ropewalk::{Bounds, Camera, NodePath, Queries, Region, View};
+use ropewalk::query::{Queries, Region};
+use ropewalk::{Camera, View};
 
 use super::scenes::{Dice, Seed, World, check, compiled, drawn};
 use ropewalk_testkit::Random;

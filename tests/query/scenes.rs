@@ -6,9 +6,8 @@ use proptest::prelude::*;
 use proptest::test_runner::TestRunner;
 use ropewalk::compile::Compiler;
 use ropewalk::graph::AlphaMode;
-use ropewalk::{
-    BlasKind, Core, Geometry, GeometryKey, Hierarchy, Material, MaterialKey, NodePath, Quality, Scene, Transform,
-};
+use ropewalk::graph::{BlasKind, Hierarchy, NodePath, Quality};
+use ropewalk::{Core, Geometry, GeometryKey, Material, MaterialKey, Scene, Transform};
 
 use ropewalk_testkit::{Mesh, Random};
 

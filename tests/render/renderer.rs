@@ -4,9 +4,10 @@
 
 use glam::{DAffine3, DQuat, DVec3, Vec3};
 use ropewalk::accel::{RebuildReason, TlasUpdate};
+use ropewalk::graph::LightKind;
 use ropewalk::{
-    Camera, Core, DeviceChoice, Error, Geometry, Light, LightKind, Material, NodeKey, Renderer, RendererOptions, Scene,
-    Transform, View,
+    Camera, Core, DeviceChoice, Error, Geometry, Light, Material, NodeKey, Renderer, RendererOptions, Scene, Transform,
+    View,
 };
 
 /// A floor and a ring of cubes under one transform node.

@@ -14,9 +14,10 @@ use std::time::Duration;
 
 use clap::Parser as _;
 use glam::Vec3;
+use ropewalk::Geometry;
 use ropewalk::accel::{Blas, BlasBuildParams};
+use ropewalk::graph::{BlasKind, Quality};
 use ropewalk::trace::Cpu;
-use ropewalk::{BlasKind, Geometry, Quality};
 use ropewalk_bench::embree::{self, Batch as _, Closest1, Embree};
 use ropewalk_bench::rays::{RayKind, RaySets};
 use ropewalk_bench::runner::{Runner as _, Traced};

@@ -6,8 +6,9 @@ use glam::{DVec3, Vec3};
 use ropewalk::accel::TlasUpdate;
 use ropewalk::compile::Compiler;
 use ropewalk::device::{DeviceArrays, DeviceBuffer};
+use ropewalk::graph::KeepTransform;
 use ropewalk::graph::Switch;
-use ropewalk::{Core, Geometry, GeometryKey, KeepTransform, Material, MaterialKey, NodeKey, Scene};
+use ropewalk::{Core, Geometry, GeometryKey, Material, MaterialKey, NodeKey, Scene};
 
 use crate::propagation::transform;
 use crate::shape::{HUMANOID, Pose, Shape, choose};

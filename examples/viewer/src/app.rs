@@ -242,7 +242,7 @@ impl App {
         }
     }
 
-    /// The corners of the box around the selection, in the order of [`Bounds::corners`](ropewalk::Bounds::corners): the
+    /// The corners of the box around the selection, in the order of [`Bounds::corners`](ropewalk::math::Bounds::corners): the
     /// local box of a geometry, or the world-space box of a subtree.
     pub(crate) fn selected_corners(&mut self) -> Option<[DVec3; 8]> {
         let node = self.selection?;

@@ -1,7 +1,8 @@
 //! The free camera: orbit, look, pan, zoom and fly.
 
 use glam::{DAffine3, DMat3, DQuat, DVec2, DVec3};
-use ropewalk::{Bounds, Camera, View};
+use ropewalk::math::Bounds;
+use ropewalk::{Camera, View};
 
 use crate::projection::Projection;
 

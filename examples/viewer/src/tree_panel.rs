@@ -3,7 +3,8 @@
 use std::collections::HashSet;
 
 use egui::{Align2, Color32, FontId, Rect, Response, ScrollArea, Sense, TextEdit, Ui, pos2, vec2};
-use ropewalk::{Change, ChangeCursor, Changes, NodeKey, ObjectKey, Scene};
+use ropewalk::graph::{Change, ChangeCursor, Changes, ObjectKey};
+use ropewalk::{NodeKey, Scene};
 
 use crate::app::App;
 use crate::edit::Edit;

@@ -91,7 +91,8 @@ impl Scene {
     /// process or in another. Its keys are those of this scene.
     ///
     /// ```
-    /// use ropewalk::{ChangeCursor, Core, Delta, Scene};
+    /// use ropewalk::graph::{ChangeCursor, Delta};
+    /// use ropewalk::{Core, Scene};
     ///
     /// let (mut scene, mut replica) = (Scene::new(), Scene::new());
     /// let mut cursor = ChangeCursor::default();
@@ -114,7 +115,8 @@ impl Scene {
     /// ```
     /// use std::sync::mpsc;
     ///
-    /// use ropewalk::{ChangeCursor, Core, Delta, DeviceChoice, Renderer, RendererOptions, Scene, View};
+    /// use ropewalk::graph::{ChangeCursor, Delta};
+    /// use ropewalk::{Core, DeviceChoice, Renderer, RendererOptions, Scene, View};
     ///
     /// let (deltas, received) = mpsc::channel::<Delta>();
     /// let renderer = std::thread::spawn(move || -> ropewalk::Result<usize> {

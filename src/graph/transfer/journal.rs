@@ -81,7 +81,8 @@ impl Scene {
     /// The rollback is logged like any edit, so cursors read in between see it.
     ///
     /// ```
-    /// use ropewalk::{Core, KeepTransform, Scene};
+    /// use ropewalk::graph::KeepTransform;
+    /// use ropewalk::{Core, Scene};
     ///
     /// let mut scene = Scene::new();
     /// let arm = scene.add(scene.root(), Core::Group)?;

@@ -10,7 +10,8 @@ type Batch = Box<dyn FnOnce(&mut Scene) + Send>;
 /// Receives edit batches on the scene's thread. Batches of one sender are applied in the order in which they were sent.
 ///
 /// ```
-/// use ropewalk::{Core, EditQueue, Scene};
+/// use ropewalk::graph::EditQueue;
+/// use ropewalk::{Core, Scene};
 ///
 /// let mut scene = Scene::new();
 /// let queue = EditQueue::new();

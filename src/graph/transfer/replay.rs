@@ -12,7 +12,8 @@ use crate::{Error, Result};
 /// Records a session to a file, frame by frame; for example to attach to a bug report.
 ///
 /// ```
-/// use ropewalk::{Core, Recorder, Replay, Scene};
+/// use ropewalk::graph::{Recorder, Replay};
+/// use ropewalk::{Core, Scene};
 ///
 /// let folder = tempfile::tempdir().expect("a temporary folder");
 /// let path = folder.path().join("session.ropewalk");

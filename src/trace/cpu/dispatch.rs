@@ -124,8 +124,9 @@ mod tests {
 
     use super::*;
     use crate::compile::Compiler;
+    use crate::graph::{BlasKind, Quality};
     use crate::trace::kernel::is_layered;
-    use crate::{BlasKind, Core, Geometry, Material, Quality, Scene};
+    use crate::{Core, Geometry, Material, Scene};
 
     /// Every other test runs with the widest instruction set: this one with all that the processor has.
     #[test]

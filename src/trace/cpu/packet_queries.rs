@@ -68,7 +68,7 @@ impl<A: PacketQuery> QueryLane<'_, A> {
         self.answers.t_max()[self.lane]
     }
 
-    /// Offers the lane's query a hit with a triangle, with t in [t_min, t_max]. Whether a layered instance is skipped
+    /// Offers the lane's query a hit with a triangle, with t in [`t_min`, `t_max`]. Whether a layered instance is skipped
     /// is decided per hit, not per leaf as in the kernel: a ray that hits nothing of it needs no second pass.
     #[inline(always)]
     pub(super) fn accept_hit(&mut self, place: &InstanceGeometry<'_>, triangle: u32, hit: &TriangleHit) {
@@ -107,7 +107,7 @@ pub(super) trait PacketQuery {
 
     fn set_query(&mut self, lane: usize, query: Self::Query);
 
-    /// Offers a triangle's hits to `lanes`, all with t in [t_min, t_max].
+    /// Offers a triangle's hits to `lanes`, all with t in [`t_min`, `t_max`].
     fn accept_hits<S: Simd>(
         &mut self,
         simd: S,
@@ -480,7 +480,8 @@ mod tests {
                     let triangle = random(state, 3);
                     packet.accept_hits(simd, &place, triangle, lanes, &hits);
                     for lane in lanes_of(lanes) {
-                        let (query, before) = (&mut queries[lane], queries[lane]);
+                        let before = queries[lane];
+                        let query = &mut queries[lane];
                         if !query.skips_instance(place.instance.flags) {
                             let candidate = place.candidate(triangle, &hit_of_lane(&hits, lane));
                             query.accept_hit(scene, &candidate, place.instance.flags);

@@ -23,7 +23,7 @@
 //! 3. **Box.** The ray hits the triangle at a mean P of the corners' p, and t = P.z / direction.z. A box around the
 //!    triangle has min <= corner, and rounding is monotonic: the computed min - origin is at most P. By its reciprocal,
 //!    its product, and S, the plane's computed t is at most 6 v beyond t; that of the far plane at most 6 v before it.
-//!    The comparison allows 32 v, [`BOX_ENTRY_SCALE`]. t_max may be the rounded t of an earlier hit: see point 5.
+//!    The comparison allows 32 v, [`BOX_ENTRY_SCALE`]. `t_max` may be the rounded t of an earlier hit: see point 5.
 //! 4. **Zeros.** Where a direction is shorter along one axis than 2^-64 of the longest, it counts as that long, so
 //!    nothing is ever infinite. The ray is then misplaced by less than 2^-64 of its way, which the padding of the boxes
 //!    exceeds.
@@ -106,7 +106,7 @@ pub(crate) fn slab_ray(origin: Vec3, direction: Vec3) -> SlabRay {
     }
 }
 
-/// Slab test: whether the ray enters the box within [t_min, t_max]; `t_min` is not negative.
+/// Slab test: whether the ray enters the box within [`t_min`, `t_max`]; `t_min` is not negative.
 #[inline]
 pub(crate) fn intersects_box(ray: &SlabRay, t_min: f32, t_max: f32, node: &Node) -> bool {
     let a = (Vec3::from_array(node.min) - ray.origin) * ray.reciprocal_direction;
@@ -164,7 +164,7 @@ pub(crate) fn shear_ray(origin: Vec3, direction: Vec3, extent: f32) -> ShearRay 
     ShearRay { origin, direction, x_row: x_row * scale, y_row: y_row * scale, t_row, scale, t_to_sheared }
 }
 
-/// Intersects the ray's whole line with a triangle; the caller checks [t_min, t_max]. The point is on the triangle,
+/// Intersects the ray's whole line with a triangle; the caller checks [`t_min`, `t_max`]. The point is on the triangle,
 /// tolerance or not: the weights are not negative, and t lies between those of the vertices. A triangle whose
 /// projection along the ray has no area is missed.
 #[inline]

@@ -85,7 +85,7 @@ fn shadow_ray(light: &LightRecord, start: Vec3) -> RayRecord {
     RayRecord { origin: start.to_array(), t_min: 0.0, direction: direction.to_array(), t_max }
 }
 
-/// Window that falls smoothly to 0 at the light's range (KHR_lights_punctual).
+/// Window that falls smoothly to 0 at the light's range (`KHR_lights_punctual`).
 fn range_attenuation(distance: f32, range: f32) -> f32 {
     let ratio = distance / range;
     let square = ratio * ratio;

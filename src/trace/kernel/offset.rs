@@ -74,7 +74,7 @@ pub(crate) fn hit_point(instance: &InstanceRecord, triangle: &Triangle, weights:
     HitPoint { position, normal: world_normal * (scale / scaled_length), ray_offset: distance }
 }
 
-/// |M| (max_abs, 1): bounds every coordinate, and every partial sum, of a transformed point whose coordinates do not
+/// |M| (`max_abs`, 1): bounds every coordinate, and every partial sum, of a transformed point whose coordinates do not
 /// exceed `max_abs`.
 fn transform_abs(rows: &[[f32; 4]; 3], max_abs: Vec3) -> Vec3 {
     let [x, y, z] = rows.map(|[x, y, z, w]| dot3(Vec3::new(x, y, z).abs(), max_abs) + w.abs());

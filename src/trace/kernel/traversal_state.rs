@@ -10,7 +10,7 @@ use crate::trace::TraversalCounts;
 
 /// A two-level traversal as an iterator over BLAS leaves.
 pub(super) trait LeafTraversal {
-    /// Advances to the next BLAS leaf whose box the ray intersects within [t_min, t_max]; `None` at the end.
+    /// Advances to the next BLAS leaf whose box the ray intersects within [`t_min`, `t_max`]; `None` at the end.
     fn next_leaf(&mut self, scene: &KernelScene<'_>, t_max: f32) -> Option<PrimitiveRange>;
 
     /// The ray and its current instance.

@@ -40,19 +40,19 @@ impl<'a> RayQueries<'a> for &'a KernelScene<'a> {
     }
 }
 
-/// The closest hit in [t_min, t_max]; of hits at equal t the one of the lower instance, then the lower primitive.
+/// The closest hit in [`t_min`, `t_max`]; of hits at equal t the one of the lower instance, then the lower primitive.
 pub(crate) fn closest_hit(scene: &KernelScene<'_>, ray: &RayRecord, ray_mask: u32) -> HitRecord {
     let (query, ()) = run_query(scene, ray, ray_mask, ClosestQuery::new(ray.t_max));
     query.result()
 }
 
-/// Occlusion query: whether the ray hits an opaque surface in [t_min, t_max].
+/// Occlusion query: whether the ray hits an opaque surface in [`t_min`, `t_max`].
 pub(crate) fn any_hit(scene: &KernelScene<'_>, ray: &RayRecord, ray_mask: u32) -> bool {
     let (query, ()) = run_query(scene, ray, ray_mask, AnyQuery::new(ray.t_max));
     query.is_hit
 }
 
-/// Transmittance along the ray in [t_min, t_max], per colour channel: the product over all surfaces hit; 0 if one is
+/// Transmittance along the ray in [`t_min`, `t_max`], per colour channel: the product over all surfaces hit; 0 if one is
 /// opaque.
 pub(crate) fn transmittance(scene: &KernelScene<'_>, ray: &RayRecord, ray_mask: u32) -> Vec3 {
     let (query, ()) = run_query(scene, ray, ray_mask, TransmittanceQuery::new(ray.t_max));

@@ -3,7 +3,8 @@
 use std::collections::{HashMap, HashSet};
 
 use glam::{DAffine3, DVec3};
-use ropewalk::{Bounds, Core, NodeKey, Scene};
+use ropewalk::math::Bounds;
+use ropewalk::{Core, NodeKey, Scene};
 
 use super::model::{Model, Step};
 use super::random::Issued;
@@ -145,7 +146,7 @@ pub(crate) fn hierarchy(scene: &mut Scene, model: &Model) {
         assert!(hierarchy.entries(node).any(|e| e == entry));
         assert_eq!(hierarchy.is_instance_root(entry), chain.last().unwrap().instanced);
         let parent = hierarchy.parents()[entry];
-        assert_eq!(chain.len() == 1, parent == ropewalk::Hierarchy::NO_PARENT);
+        assert_eq!(chain.len() == 1, parent == ropewalk::graph::Hierarchy::NO_PARENT);
         if chain.len() > 1 {
             assert_eq!(hierarchy.path(parent as usize), Model::path(&chain[..chain.len() - 1]));
         }

@@ -1,9 +1,10 @@
 //! Random edits: how each is applied to the scene and to the model, and with which error it must fail.
 
 use glam::{DAffine3, DMat3, DVec3, Vec3};
+use ropewalk::graph::{Billboard, CoreSource, KeepTransform, ObjectKey};
 use ropewalk::{
-    Billboard, Camera, Core, CoreKey, CoreSource, Error, Geometry, GeometryKey, KeepTransform, Material, MaterialKey,
-    NodeKey, ObjectKey, Result, Scene, Texture, TextureKey, Transform,
+    Camera, Core, CoreKey, Error, Geometry, GeometryKey, Material, MaterialKey, NodeKey, Result, Scene, Texture,
+    TextureKey, Transform,
 };
 
 use super::model::{Model, ModelNode};

@@ -3,9 +3,9 @@
 use std::collections::{HashMap, HashSet};
 
 use glam::DVec3;
+use ropewalk::graph::{Change, NodePath, ObjectKey};
 use ropewalk::{
-    Change, Core, CoreKey, Geometry, GeometryKey, Material, MaterialKey, NodeKey, NodePath, ObjectKey, Scene, Texture,
-    TextureKey, Transform,
+    Core, CoreKey, Geometry, GeometryKey, Material, MaterialKey, NodeKey, Scene, Texture, TextureKey, Transform,
 };
 
 #[derive(Clone, Debug, PartialEq)]

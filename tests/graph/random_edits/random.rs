@@ -4,9 +4,10 @@ use std::f64::consts::FRAC_PI_2;
 
 use glam::{DAffine3, DMat3, DQuat, DVec3, Vec3, Vec4};
 use proptest::prelude::*;
+use ropewalk::graph::{Billboard, BlasKind, KeepTransform, LightKind, Lod, ObjectKey, Switch, TextureRef};
 use ropewalk::{
-    Billboard, BlasKind, Camera, Core, CoreKey, Geometry, GeometryKey, KeepTransform, Light, LightKind, Lod, Material,
-    MaterialKey, NodeKey, ObjectKey, Scene, Switch, Texture, TextureKey, TextureRef, Transform,
+    Camera, Core, CoreKey, Geometry, GeometryKey, Light, Material, MaterialKey, NodeKey, Scene, Texture, TextureKey,
+    Transform,
 };
 
 use super::edit::Edit;

@@ -2,7 +2,8 @@
 
 use std::collections::HashMap;
 
-use ropewalk::{Change, ChangeCursor, Changes, ObjectKey, Scene};
+use ropewalk::Scene;
+use ropewalk::graph::{Change, ChangeCursor, Changes, ObjectKey};
 
 use super::model::Model;
 

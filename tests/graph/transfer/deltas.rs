@@ -9,10 +9,8 @@ use proptest::sample::Index;
 use proptest::test_runner::TestRunner;
 use ropewalk::error::{DeltaFault, RootEdit};
 use ropewalk::graph::CoreKind;
-use ropewalk::{
-    Camera, Change, ChangeCursor, Changes, Core, CoreKey, Delta, Error, Geometry, KeepTransform, Material, NodeKey,
-    NodeState, ObjectKey, ObjectState, Scene, Switch, Transform,
-};
+use ropewalk::graph::{Change, ChangeCursor, Changes, Delta, KeepTransform, NodeState, ObjectKey, ObjectState, Switch};
+use ropewalk::{Camera, Core, CoreKey, Error, Geometry, Material, NodeKey, Scene, Transform};
 
 use super::{content, sample};
 

@@ -8,7 +8,8 @@ use proptest::collection::vec;
 use proptest::prelude::*;
 use proptest::sample::Index;
 use proptest::test_runner::TestRunner;
-use ropewalk::{Core, Error, Scene, SceneFileError};
+use ropewalk::graph::SceneFileError;
+use ropewalk::{Core, Error, Scene};
 
 use super::{content, sample};
 

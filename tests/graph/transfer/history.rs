@@ -3,7 +3,8 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use glam::{DVec3, Vec3};
-use ropewalk::{Core, Error, Geometry, KeepTransform, Material, Scene, Transform};
+use ropewalk::graph::KeepTransform;
+use ropewalk::{Core, Error, Geometry, Material, Scene, Transform};
 
 use super::content;
 

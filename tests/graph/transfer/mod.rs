@@ -9,7 +9,8 @@ mod recordings;
 mod replica;
 mod session;
 
-use ropewalk::{ObjectKey, ObjectState, Scene};
+use ropewalk::Scene;
+use ropewalk::graph::{ObjectKey, ObjectState};
 
 use super::random_edits::{model, random};
 

@@ -4,7 +4,8 @@ use std::collections::HashMap;
 use std::sync::Arc;
 use std::thread;
 
-use ropewalk::{Core, EditQueue, Error, NodeKey, Scene, Transform};
+use ropewalk::graph::EditQueue;
+use ropewalk::{Core, Error, NodeKey, Scene, Transform};
 
 const THREADS: usize = 8;
 const BATCHES: usize = 400;

@@ -2,14 +2,15 @@
 
 use std::fs;
 
-use ropewalk::{Error, Recorder, Replay, Scene, SceneFileError};
+use ropewalk::graph::{Recorder, Replay, SceneFileError};
+use ropewalk::{Error, Scene};
 
 use super::content;
 use crate::graph::random_edits::model::Model;
 use crate::graph::random_edits::random::{Issued, raw_edit};
 
 /// A recorded session of random edits, and what the scene was after each frame.
-fn record(path: &std::path::Path) -> Vec<Vec<(ropewalk::ObjectKey, Option<ropewalk::ObjectState>)>> {
+fn record(path: &std::path::Path) -> Vec<Vec<(ropewalk::graph::ObjectKey, Option<ropewalk::graph::ObjectState>)>> {
     use proptest::strategy::{Strategy as _, ValueTree as _};
 
     let mut runner = proptest::test_runner::TestRunner::deterministic();

@@ -4,9 +4,8 @@ use std::sync::mpsc::{Receiver, channel, sync_channel};
 use std::thread;
 
 use glam::DVec3;
-use ropewalk::{
-    ChangeCursor, Delta, DeviceChoice, KeepTransform, NodeKey, Renderer, RendererOptions, Scene, Transform, View,
-};
+use ropewalk::graph::{ChangeCursor, Delta, KeepTransform};
+use ropewalk::{DeviceChoice, NodeKey, Renderer, RendererOptions, Scene, Transform, View};
 
 use super::{content, sample};
 

@@ -8,7 +8,8 @@ use proptest::collection::vec;
 use proptest::prelude::*;
 use proptest::test_runner::TestRunner;
 use ropewalk::compile::Compiler;
-use ropewalk::{ChangeCursor, Delta, Error, ObjectKey, ObjectState, Scene};
+use ropewalk::graph::{ChangeCursor, Delta, ObjectKey, ObjectState};
+use ropewalk::{Error, Scene};
 
 use super::content;
 use crate::graph::random_edits::compare;

@@ -4,8 +4,9 @@ use std::f32::consts::TAU;
 use std::f64::consts::FRAC_PI_4;
 
 use glam::{Affine2, DQuat, DVec3, Vec2, Vec3, Vec4, dvec3, vec2, vec3};
+use ropewalk::graph::{AlphaMode, FilterMode, WrapMode};
 use ropewalk::graph::{Geometry, Light, LightKind, Material, NodeKey, Sampler, Texture, TextureRef};
-use ropewalk::{AlphaMode, Camera, Core, FilterMode, Result, Scene, Sky, Transform, View, WrapMode};
+use ropewalk::{Camera, Core, Result, Scene, Sky, Transform, View};
 
 use super::builtin::{self, shapes, textures};
 

@@ -3,11 +3,9 @@
 use std::sync::Arc;
 
 use glam::{Affine2, DAffine3, DQuat, DVec3, Vec2, Vec3, Vec4};
+use ropewalk::graph::{AlphaMode, FilterMode, LightKind, Sampler, TextureRef, WrapMode};
 use ropewalk::image::Image;
-use ropewalk::{
-    AlphaMode, Camera, DeviceChoice, FilterMode, LightKind, Material, Renderer, RendererOptions, Sampler, Scene,
-    Texture, TextureRef, View, WrapMode,
-};
+use ropewalk::{Camera, DeviceChoice, Material, Renderer, RendererOptions, Scene, Texture, View};
 
 use super::scenes::{at, cube, put, put_light, sphere, square};
 

@@ -1,7 +1,8 @@
 //! The white furnace test: under a uniform sky, a surface that absorbs nothing has the radiance of the sky.
 
 use glam::{DAffine3, DQuat, DVec3, Vec3, Vec4};
-use ropewalk::{AlphaMode, Camera, Geometry, Material, Scene, Sky, View};
+use ropewalk::graph::AlphaMode;
+use ropewalk::{Camera, Geometry, Material, Scene, Sky, View};
 
 use super::scenes::{at, cube, put, render, sphere, square};
 

@@ -3,7 +3,8 @@
 use std::sync::Arc;
 
 use glam::{DAffine3, DVec3, Vec3, Vec4};
-use ropewalk::{AlphaMode, Geometry, LightKind, Material, Scene};
+use ropewalk::graph::{AlphaMode, LightKind};
+use ropewalk::{Geometry, Material, Scene};
 
 use super::scenes::{at, black, cube, front, middle, put, put_light, render, square};
 

@@ -1,7 +1,8 @@
 //! Reflection and refraction compared with closed forms and with an analytic ray tracer in f64.
 
 use glam::{DAffine3, DVec3, Vec3, Vec4};
-use ropewalk::{AlphaMode, Camera, Material, Scene, Sky, View};
+use ropewalk::graph::AlphaMode;
+use ropewalk::{Camera, Material, Scene, Sky, View};
 
 use super::scenes::{at, black, cube, front, middle, put, render, sphere, square};
 

@@ -4,10 +4,10 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use glam::{DAffine3, DVec3, Vec2, Vec3};
+use ropewalk::graph::LightKind;
 use ropewalk::image::Image;
 use ropewalk::{
-    Camera, Core, DeviceChoice, Geometry, Light, LightKind, Material, Renderer, RendererOptions, Scene, Sky, Transform,
-    View,
+    Camera, Core, DeviceChoice, Geometry, Light, Material, Renderer, RendererOptions, Scene, Sky, Transform, View,
 };
 
 /// A square in the plane z = 0 that faces +Z, from -`half` to `half`; texture coordinates as an upright image has them.

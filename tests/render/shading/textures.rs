@@ -3,7 +3,8 @@
 use std::sync::Arc;
 
 use glam::{Affine2, DAffine3, DVec3, Vec2, Vec3};
-use ropewalk::{FilterMode, Geometry, LightKind, Material, Sampler, Scene, Texture, TextureRef};
+use ropewalk::graph::{FilterMode, LightKind, Sampler, TextureRef};
+use ropewalk::{Geometry, Material, Scene, Texture};
 
 use super::scenes::{black, front, middle, put, put_light, render, square};
 

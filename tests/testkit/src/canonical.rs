@@ -5,8 +5,7 @@ use std::collections::{HashMap, HashSet};
 use glam::{BVec3, DVec3, Vec3, Vec4};
 use ropewalk::device::DeviceArrays;
 use ropewalk::device::layout::{
-    GeometryRecord, InstanceFlags, InstanceRecord, LightRecord, MaterialRecord, NONE, Node, TextureInfo, Triangle,
-    WideNode,
+    GeometryRecord, InstanceFlags, InstanceRecord, LightRecord, NONE, Node, TextureInfo, Triangle, WideNode,
 };
 
 /// Everything that a kernel can reach in device arrays, with indices replaced by what they refer to. Compared bit by

@@ -5,9 +5,9 @@ use std::sync::Arc;
 
 use glam::{DQuat, DVec3, Vec2, Vec3, Vec4};
 use proptest::prelude::*;
+use ropewalk::graph::{AlphaMode, Billboard, BlasKind, KeepTransform, LightKind, Lod, Quality, Switch, TextureRef};
 use ropewalk::{
-    AlphaMode, Billboard, BlasKind, Camera, Core, Geometry, GeometryKey, KeepTransform, Light, LightKind, Lod,
-    Material, MaterialKey, NodeKey, Quality, Scene, Switch, Texture, TextureKey, TextureRef, Transform,
+    Camera, Core, Geometry, GeometryKey, Light, Material, MaterialKey, NodeKey, Scene, Texture, TextureKey, Transform,
 };
 
 /// One random edit. Its numbers select from the objects that exist when it is applied.

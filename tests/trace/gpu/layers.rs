@@ -4,9 +4,7 @@
 use ropewalk::accel::{Blas, BlasBuildParams};
 use ropewalk::device::DeviceArrays;
 use ropewalk::device::Needs;
-use ropewalk::device::layout::{
-    GeometryRecord, InstanceFlags, InstanceRecord, LIGHT_DIRECTIONAL, LightRecord, MaterialFlags,
-};
+use ropewalk::device::layout::{InstanceFlags, InstanceRecord, LIGHT_DIRECTIONAL, LightRecord, MaterialFlags};
 use ropewalk::glam::Vec3;
 use ropewalk::graph::{BlasKind, Geometry};
 use ropewalk::image::Image;

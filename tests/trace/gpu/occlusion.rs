@@ -8,8 +8,9 @@ use std::f32::consts::TAU;
 
 use example::Occlusion;
 use glam::{DVec3, Vec3};
+use ropewalk::query::Queries;
 use ropewalk::trace::Cpu;
-use ropewalk::{Core, DeviceChoice, Geometry, Material, Queries, Ray, Renderer, RendererOptions, Scene, Transform};
+use ropewalk::{Core, DeviceChoice, Geometry, Material, Ray, Renderer, RendererOptions, Scene, Transform};
 
 use ropewalk_testkit::gpu::usable;
 
