@@ -6,12 +6,12 @@
 //! | [`queries`] | how to trace rays of your own: a few exactly, millions at once, on the GPU, or from your own shader |
 //! | [`choosing`] | which device, acceleration structure, traversal and scene layout to choose, with figures, and when not to use which |
 //!
-//! The pages are the files of the same names in the folder `docs/` of the repository and of the package. There are also all
-//! measurements, with the commands that produce them (`docs/BENCHMARKS.md`), a map of the code (`docs/ARCHITECTURE.md`) and
-//! the records of decisions (`docs/decisions/`).
+//! The pages are the files of the same names in the folder `docs/` of the repository and of the package. There are also
+//! all measurements, with the commands that produce them (`docs/BENCHMARKS.md`), a map of the code
+//! (`docs/ARCHITECTURE.md`) and the records of decisions (`docs/decisions/`).
 
-// A link of these pages leads to a file of the repository; the definitions that stand before a page here come first, so that
-// they lead to the item or page of this documentation instead.
+// A link of these pages leads to a file of the repository; the definitions that stand before a page here come first, so
+// that they lead to the item or page of this documentation instead.
 
 /// [BENCHMARKS.md]: crate::guide
 /// [QUERIES.md]: crate::guide::queries

@@ -35,8 +35,9 @@
 //! # Ok::<(), ropewalk::Error>(())
 //! ```
 //!
-//! Start with [`Scene`], [`gltf::import`], [`View`] and [`Renderer`]; the [`guide`] explains them page by page. The modules
-//! [`accel`], [`compile`], [`device`] and [`trace`] are the internals, public for those who bring an executor of their own.
+//! Start with [`Scene`], [`gltf::import`], [`View`] and [`Renderer`]; the [`guide`] explains them page by page. The
+//! modules [`accel`], [`compile`], [`device`] and [`trace`] are the internals, public for those who bring an executor
+//! of their own.
 
 pub mod accel;
 mod atomic_file;

@@ -81,8 +81,8 @@ impl Image {
     /// O(pixels).
     ///
     /// # Errors
-    /// [`Error::OutOfRange`](crate::Error::OutOfRange) if `factor` is 0 or larger than the image, or an array does not have `width * height`
-    /// elements.
+    /// [`Error::OutOfRange`](crate::Error::OutOfRange) if `factor` is 0 or larger than the image, or an array does not
+    /// have `width * height` elements.
     pub fn downscaled(&self, factor: u32) -> Result<Self> {
         self.validate()?;
         let is_allowed = factor > 0 && factor <= self.width.min(self.height);

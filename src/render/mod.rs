@@ -82,21 +82,22 @@ impl Renderer {
     /// A renderer with its own device.
     ///
     /// # Errors
-    /// [`Error::NoGpu`](crate::Error::NoGpu) if [`DeviceChoice::Gpu`] was asked for and there is none, naming each adapter and what is wrong
-    /// with it. [`DeviceChoice::Auto`] falls back to the CPU instead: see [`fallback_reason`](Self::fallback_reason).
+    /// [`Error::NoGpu`](crate::Error::NoGpu) if [`DeviceChoice::Gpu`] was asked for and there is none, naming each
+    /// adapter and what is wrong with it. [`DeviceChoice::Auto`] falls back to the CPU instead: see
+    /// [`fallback_reason`](Self::fallback_reason).
     pub fn new(options: &RendererOptions) -> Result<Self> {
         Ok(Self { compiler: Compiler::new(), device: ActiveTracer::open(options.device)? })
     }
 
-    /// A renderer that uses a tracer of the application's, for example a `trace::gpu::GpuTracer` on the application's own
-    /// device. Should that device be lost, every call fails with [`Error::DeviceLost`](crate::Error::DeviceLost) until
-    /// [`set_tracer`](Self::set_tracer).
+    /// A renderer that uses a tracer of the application's, for example a `trace::gpu::GpuTracer` on the application's
+    /// own device. Should that device be lost, every call fails with [`Error::DeviceLost`](crate::Error::DeviceLost)
+    /// until [`set_tracer`](Self::set_tracer).
     pub fn with_tracer(tracer: impl Tracer + 'static) -> Self {
         Self { compiler: Compiler::new(), device: ActiveTracer::from_tracer(Box::new(tracer)) }
     }
 
-    /// Replaces the tracer, for example after its device was lost. The next call uploads the whole compiled scene to it; no
-    /// acceleration structure is built again.
+    /// Replaces the tracer, for example after its device was lost. The next call uploads the whole compiled scene to
+    /// it; no acceleration structure is built again.
     pub fn set_tracer(&mut self, tracer: impl Tracer + 'static) {
         self.device = ActiveTracer::from_tracer(Box::new(tracer));
     }
@@ -111,17 +112,17 @@ impl Renderer {
         self.device.tracer().device()
     }
 
-    /// The GPU tracer, for passes of the application's own on its device; `None` if the CPU traces. It holds the scene as of
-    /// the last [`prepare`](Self::prepare) or [`render`](Self::render). After its device was lost the next call replaces the
-    /// tracer: keep no handle to the old device.
+    /// The GPU tracer, for passes of the application's own on its device; `None` if the CPU traces. It holds the scene
+    /// as of the last [`prepare`](Self::prepare) or [`render`](Self::render). After its device was lost the next call
+    /// replaces the tracer: keep no handle to the old device.
     #[cfg(feature = "gpu")]
     pub fn gpu_tracer(&mut self) -> Option<&mut GpuTracer> {
         self.device.tracer_mut().as_gpu()
     }
 
-    /// Compiles the scene and uploads what changed, without tracing a frame: for applications that trace rays of their own
-    /// on the [GPU](Self::gpu_tracer). Costs what [`Compiler::compile_from_last_viewpoint`] and the upload of the changed
-    /// ranges cost.
+    /// Compiles the scene and uploads what changed, without tracing a frame: for applications that trace rays of their
+    /// own on the [GPU](Self::gpu_tracer). Costs what [`Compiler::compile_from_last_viewpoint`] and the upload of the
+    /// changed ranges cost.
     ///
     /// # Errors
     /// As [`render`](Self::render).
@@ -133,9 +134,9 @@ impl Renderer {
         Ok(report)
     }
 
-    /// The render origin, in world space: positions on the device are f32 and relative to it. It follows the camera, so that
-    /// positions near the eye have the full resolution of f32, and may move with each [`prepare`](Self::prepare) and
-    /// [`render`](Self::render).
+    /// The render origin, in world space: positions on the device are f32 and relative to it. It follows the camera, so
+    /// that positions near the eye have the full resolution of f32, and may move with each [`prepare`](Self::prepare)
+    /// and [`render`](Self::render).
     pub fn render_origin(&self) -> DVec3 {
         self.compiler.origin()
     }
@@ -145,8 +146,9 @@ impl Renderer {
     ///
     /// # Errors
     /// As [`View::validate`]; [`Error::Limit`](crate::Error::Limit) if scene or image are too large for the device;
-    /// [`Error::DeviceLost`](crate::Error::DeviceLost) and [`Error::OutOfMemory`](crate::Error::OutOfMemory), after which the next call
-    /// recovers as [`DeviceChoice`] describes; [`Error::Gpu`](crate::Error::Gpu) if the driver fails otherwise.
+    /// [`Error::DeviceLost`](crate::Error::DeviceLost) and [`Error::OutOfMemory`](crate::Error::OutOfMemory), after
+    /// which the next call recovers as [`DeviceChoice`] describes; [`Error::Gpu`](crate::Error::Gpu) if the driver
+    /// fails otherwise.
     pub fn render(&mut self, scene: &mut Scene, view: &View) -> Result<Frame<'_>> {
         let start = Instant::now();
         view.validate()?;
@@ -184,9 +186,9 @@ impl Renderer {
 
 /// Picking and queries.
 impl Renderer {
-    /// The closest hit of the camera ray through the centre of a pixel, given as column and row counted from the upper left:
-    /// the node, triangle and point that a frame of the scene would show there. `None` if the ray hits nothing. Compiles the
-    /// scene as [`render`](Self::render) does, then traces one ray on the CPU, whatever the tracer.
+    /// The closest hit of the camera ray through the centre of a pixel, given as column and row counted from the upper
+    /// left: the node, triangle and point that a frame of the scene would show there. `None` if the ray hits nothing.
+    /// Compiles the scene as [`render`](Self::render) does, then traces one ray on the CPU, whatever the tracer.
     ///
     /// ```
     /// use glam::{DVec3, Vec3};
@@ -198,7 +200,8 @@ impl Renderer {
     /// let triangle = scene.add(scene.root(), Core::Geometry { geometry, material })?;
     ///
     /// let mut renderer = Renderer::new(&RendererOptions::default().with_device(DeviceChoice::Cpu))?;
-    /// let view = View::look_at(DVec3::new(0.0, 0.5, 3.0), DVec3::new(0.0, 0.5, 0.0), DVec3::Y, Camera::default(), 64, 48);
+    /// let (eye, target) = (DVec3::new(0.0, 0.5, 3.0), DVec3::new(0.0, 0.5, 0.0));
+    /// let view = View::look_at(eye, target, DVec3::Y, Camera::default(), 64, 48);
     /// let hit = renderer.pick(&mut scene, &view, [32, 24])?.unwrap();
     /// assert_eq!((hit.path.node, hit.triangle), (triangle, 0));
     /// assert!(hit.position.distance(DVec3::new(0.0, 0.5, 0.0)) < 0.05);
@@ -253,15 +256,15 @@ impl Frame<'_> {
         self.device.record_failure(self.device.tracer().read_image())
     }
 
-    /// The frame's linear radiance as an `Rgba32Float` texture on the renderer's device, for example to present it: bind it
-    /// without filtering, or copy from it. `None` if the CPU traced the frame.
+    /// The frame's linear radiance as an `Rgba32Float` texture on the renderer's device, for example to present it:
+    /// bind it without filtering, or copy from it. `None` if the CPU traced the frame.
     #[cfg(feature = "gpu")]
     pub fn texture(&self) -> Option<&wgpu::Texture> {
         self.device.tracer().texture()
     }
 
-    /// Time that the GPU took for the frame, by timestamp queries; `None` on a CPU, and on a device without them. Blocks
-    /// until the frame is complete.
+    /// Time that the GPU took for the frame, by timestamp queries; `None` on a CPU, and on a device without them.
+    /// Blocks until the frame is complete.
     pub fn gpu_time(&self) -> Option<Duration> {
         self.device.tracer().trace_time()
     }

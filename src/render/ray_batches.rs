@@ -24,9 +24,10 @@ impl Renderer {
     /// The closest hit of each ray, among the nodes that `mask` shows. Compiles and uploads the scene as
     /// [`prepare`](Renderer::prepare) does, then traces; on a GPU, a batch is split to fit the device's buffer limits.
     ///
-    /// For a few rays, [`Queries::closest_hit`] is faster and exact. Rays of a batch are moved to just before the bounds of
-    /// the scene and rounded to f32 relative to the [render origin](Renderer::render_origin). A ray that passes an edge
-    /// within this rounding may hit or miss, and [`t_min`](Ray::t_min) and [`t_max`](Ray::t_max) are exact only up to it.
+    /// For a few rays, [`Queries::closest_hit`] is faster and exact. Rays of a batch are moved to just before the
+    /// bounds of the scene and rounded to f32 relative to the [render origin](Renderer::render_origin). A ray that
+    /// passes an edge within this rounding may hit or miss, and [`t_min`](Ray::t_min) and [`t_max`](Ray::t_max) are
+    /// exact only up to it.
     ///
     /// ```
     /// use ropewalk::glam::{DVec3, Vec3};
@@ -66,8 +67,9 @@ impl Renderer {
         Ok(ClosestHits { queries: Queries::of_compiled_scene(&self.compiler, scene)?, hits, distances })
     }
 
-    /// Occlusion of each ray, as of a shadow ray: whether it hits an opaque surface of a node that `mask` shows. Unlike in
-    /// [`closest_hits`](Renderer::closest_hits), back faces are hit too, and surfaces that blend or transmit never are.
+    /// Occlusion of each ray, as of a shadow ray: whether it hits an opaque surface of a node that `mask` shows. Unlike
+    /// in [`closest_hits`](Renderer::closest_hits), back faces are hit too, and surfaces that blend or transmit never
+    /// are.
     ///
     /// # Errors
     /// As [`closest_hits`](Renderer::closest_hits).
@@ -106,7 +108,8 @@ impl ClosestHits<'_> {
         self.hits.is_empty()
     }
 
-    /// Distance to the hit of ray `i`, in units of its direction's length; `None` if it misses, or if there is no ray `i`.
+    /// Distance to the hit of ray `i`, in units of its direction's length; `None` if it misses, or if there is no ray
+    /// `i`.
     pub fn distance(&self, i: usize) -> Option<f64> {
         self.hits.get(i).filter(|hit| hit.instance != NONE).map(|_| self.distances[i])
     }
@@ -121,8 +124,9 @@ impl ClosestHits<'_> {
         (0..self.len()).map(|i| self.get(i))
     }
 
-    /// The hit records as traced: 32 bytes each, with indices into the [device arrays](crate::device::DeviceArrays). Their
-    /// `t` is that of the moved and scaled ray: [`distance`](Self::distance) has the unit of the ray that was given.
+    /// The hit records as traced: 32 bytes each, with indices into the [device arrays](crate::device::DeviceArrays).
+    /// Their `t` is that of the moved and scaled ray: [`distance`](Self::distance) has the unit of the ray that was
+    /// given.
     pub fn records(&self) -> &[layout::HitRecord] {
         &self.hits
     }

@@ -73,8 +73,8 @@ impl View {
         Ok(Self { world_from_view, ..Self::look_at(DVec3::ZERO, DVec3::NEG_Z, DVec3::Y, camera, width, height) })
     }
 
-    /// A view that fits the world bounds of the scene into the image, seen from the front, a little from the right and from
-    /// above, by the default camera. Costs as [`Scene::world_bounds`].
+    /// A view that fits the world bounds of the scene into the image, seen from the front, a little from the right and
+    /// from above, by the default camera. Costs as [`Scene::world_bounds`].
     ///
     /// # Errors
     /// As [`Scene::hierarchy`].
@@ -103,8 +103,9 @@ impl View {
     /// Checks every number that rendering depends on.
     ///
     /// # Errors
-    /// [`Error::OutOfRange`] names the value: a depth beyond [`MAX_DEPTH`](Self::MAX_DEPTH), a camera pose that is not finite or
-    /// flattens an axis (a camera node below a scale of zero), a projection out of range, a sky that is not finite.
+    /// [`Error::OutOfRange`] names the value: a depth beyond [`MAX_DEPTH`](Self::MAX_DEPTH), a camera pose that is not
+    /// finite or flattens an axis (a camera node below a scale of zero), a projection out of range, a sky that is not
+    /// finite.
     pub fn validate(&self) -> Result<()> {
         let pose = &self.world_from_view;
         let axes = [pose.matrix3.x_axis, pose.matrix3.y_axis, pose.matrix3.z_axis];
@@ -122,13 +123,14 @@ impl View {
     /// [`Queries::overlapping`](crate::query::Queries::overlapping).
     ///
     /// # Errors
-    /// As [`validate`](Self::validate), and [`Error::OutOfRange`] for an image without pixels or a pose whose axes lie in a plane.
+    /// As [`validate`](Self::validate), and [`Error::OutOfRange`] for an image without pixels or a pose whose axes lie
+    /// in a plane.
     pub fn frustum(&self) -> Result<Region> {
         self.pixel_frustum(0..self.width, 0..self.height)
     }
 
-    /// The part of the [frustum](Self::frustum) seen through these columns and rows of pixels, counted from the upper left:
-    /// for selection by a rubber band.
+    /// The part of the [frustum](Self::frustum) seen through these columns and rows of pixels, counted from the upper
+    /// left: for selection by a rubber band.
     ///
     /// # Errors
     /// As [`frustum`](Self::frustum), and [`Error::OutOfRange`] for pixels outside the image, or none.
@@ -148,7 +150,8 @@ impl View {
         let low = (DVec2::new(to_ndc(columns.start, self.width), -to_ndc(rows.end, self.height)) + shift) * size;
         let high = (DVec2::new(to_ndc(columns.end, self.width), -to_ndc(rows.start, self.height)) + shift) * size;
 
-        // 3. A half-space for each edge: perspective ones through the eye, orthographic ones parallel, with a near plane.
+        // 3. A half-space for each edge: perspective ones through the eye, orthographic ones parallel, with a near
+        //    plane.
         let eye = self.world_from_view.translation;
         if orthographic == 0 {
             let normals =
@@ -176,9 +179,10 @@ impl View {
         Viewpoint { eye: self.world_from_view.translation, up, height }
     }
 
-    /// The uniform buffer of a frame of this view, which must be [valid](Self::validate): positions are relative to `origin`
-    /// (see [`Compiler::origin`](crate::compile::Compiler::origin)), and the first `light_count` lights of the device arrays
-    /// are used. For [frames](crate::trace::FrameRequest) that an application traces by a tracer of its own.
+    /// The uniform buffer of a frame of this view, which must be [valid](Self::validate): positions are relative to
+    /// `origin` (see [`Compiler::origin`](crate::compile::Compiler::origin)), and the first `light_count` lights of the
+    /// device arrays are used. For [frames](crate::trace::FrameRequest) that an application traces by a tracer of its
+    /// own.
     pub fn frame_params(&self, origin: DVec3, light_count: u32) -> FrameParams {
         let axes = self.world_from_view.matrix3;
         let [right, up, back] = [axes.x_axis, axes.y_axis, axes.z_axis].map(|axis| axis.normalize_or_zero().as_vec3());
@@ -207,9 +211,9 @@ impl View {
         }
     }
 
-    /// Half the width and height of the image, at distance 1 (perspective) or at any distance (orthographic), and 1 for an
-    /// orthographic camera. Where the image has another aspect than the camera it shows more than the camera's field, never
-    /// less.
+    /// Half the width and height of the image, at distance 1 (perspective) or at any distance (orthographic), and 1 for
+    /// an orthographic camera. Where the image has another aspect than the camera it shows more than the camera's
+    /// field, never less.
     fn half_extent(&self) -> (f32, f32, u32) {
         let image_aspect = self.width.max(1) as f32 / self.height.max(1) as f32;
         let (half_width, half_height, orthographic) = match self.camera {

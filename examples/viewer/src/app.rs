@@ -242,8 +242,9 @@ impl App {
         }
     }
 
-    /// The corners of the box around the selection, in the order of [`Bounds::corners`](ropewalk::math::Bounds::corners): the
-    /// local box of a geometry, or the world-space box of a subtree.
+    /// The corners of the box around the selection, in the order of
+    /// [`Bounds::corners`](ropewalk::math::Bounds::corners): the local box of a geometry, or the world-space box of a
+    /// subtree.
     pub(crate) fn selected_corners(&mut self) -> Option<[DVec3; 8]> {
         let node = self.selection?;
         if let Some(geometry) = self.scene.node_core(node).ok()?.geometry() {

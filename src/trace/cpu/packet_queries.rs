@@ -68,8 +68,8 @@ impl<A: PacketQuery> QueryLane<'_, A> {
         self.answers.t_max()[self.lane]
     }
 
-    /// Offers the lane's query a hit with a triangle, with t in [`t_min`, `t_max`]. Whether a layered instance is skipped
-    /// is decided per hit, not per leaf as in the kernel: a ray that hits nothing of it needs no second pass.
+    /// Offers the lane's query a hit with a triangle, with t in [`t_min`, `t_max`]. Whether a layered instance is
+    /// skipped is decided per hit, not per leaf as in the kernel: a ray that hits nothing of it needs no second pass.
     #[inline(always)]
     pub(super) fn accept_hit(&mut self, place: &InstanceGeometry<'_>, triangle: u32, hit: &TriangleHit) {
         let mut query = self.answers.query(self.lane);

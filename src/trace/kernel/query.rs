@@ -1,8 +1,8 @@
 //! The rules of the ray queries: which candidate hits a query accepts, what it keeps of them, and when it is decided.
 //! Twin of `shaders/shared/query.wgsl`.
 //!
-//! A *candidate* is a [`HitRecord`] of a triangle that the ray intersects within [`t_min`, `t_max`] and that no query has
-//! accepted yet. Traversals offer candidates in any order; all executors apply the rules in this file, so that the
+//! A *candidate* is a [`HitRecord`] of a triangle that the ray intersects within [`t_min`, `t_max`] and that no query
+//! has accepted yet. Traversals offer candidates in any order; all executors apply the rules in this file, so that the
 //! result depends on the order only in the rounding of a product of transmittances. WGSL has no traits: what is
 //! `ClosestQuery::accept_hit` here is `accept_closest` there, and so on for each query.
 
@@ -219,8 +219,8 @@ impl Query for LayerQuery {
     }
 }
 
-/// Tests the triangles of a leaf of the instance that `ray` is in, and offers the hits in [`t_min`, `t_max`] to a query.
-/// `first` is the index of the first of `triangles` in the scene.
+/// Tests the triangles of a leaf of the instance that `ray` is in, and offers the hits in [`t_min`, `t_max`] to a
+/// query. `first` is the index of the first of `triangles` in the scene.
 #[inline(always)]
 pub(crate) fn intersect_leaf(
     scene: &KernelScene<'_>,

@@ -52,8 +52,8 @@ pub(crate) fn any_hit(scene: &KernelScene<'_>, ray: &RayRecord, ray_mask: u32) -
     query.is_hit
 }
 
-/// Transmittance along the ray in [`t_min`, `t_max`], per colour channel: the product over all surfaces hit; 0 if one is
-/// opaque.
+/// Transmittance along the ray in [`t_min`, `t_max`], per colour channel: the product over all surfaces hit; 0 if one
+/// is opaque.
 pub(crate) fn transmittance(scene: &KernelScene<'_>, ray: &RayRecord, ray_mask: u32) -> Vec3 {
     let (query, ()) = run_query(scene, ray, ray_mask, TransmittanceQuery::new(ray.t_max));
     query.with_layers(scene, ray, ray_mask)
