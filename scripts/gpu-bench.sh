@@ -1,12 +1,15 @@
 #!/usr/bin/env bash
-# Runs the benchmarks `trace`, `table1` and `scaling` with the cargo feature `gpu`, and writes device, driver, backend, features, commit
-# and all tables to one JSON file. Where there is no GPU it says so, and so does the file: then it holds no figure of a GPU.
+# Runs the benchmarks `trace`, `table1` and `scaling` with the cargo feature `gpu`, and writes device, driver, backend,
+# features, commit and all tables to one JSON file. Where there is no GPU it says so, and so does the file: then it
+# holds no figure of a GPU.
 #
-#   scripts/gpu-bench.sh [FILE [OPTION...]]      FILE: target/gpu-bench.json by default. OPTIONs go to the benchmarks: --quick, say.
+#   scripts/gpu-bench.sh [FILE [OPTION...]]
 #
-# For a machine without network or cargo: build elsewhere (cargo bench -p ropewalk-bench --features gpu --no-run), take the executables
-# along (cargo prints where they are; `trace-0123456789abcdef` may keep its name) and set ROPEWALK_BENCH_BIN to their folder. Scenes are
-# looked for in ROPEWALK_SCENES.
+# FILE: target/gpu-bench.json by default. OPTIONs go to the benchmarks: --quick, say.
+#
+# For a machine without network or cargo: build elsewhere (cargo bench -p ropewalk-bench --features gpu --no-run), take
+# the executables along (cargo prints where they are; `trace-0123456789abcdef` may keep its name) and set
+# ROPEWALK_BENCH_BIN to their folder. Scenes are looked for in ROPEWALK_SCENES.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 

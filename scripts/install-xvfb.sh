@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Installs an X server without a monitor, and what windows need of X, on Debian, Ubuntu and their kin: the viewer is tested in it.
+# Installs an X server without a monitor, and what windows need of X, on Debian, Ubuntu and their kin: the viewer is
+# tested in it.
 set -euo pipefail
 
 say() { printf 'install-xvfb: %s\n' "$*" >&2; }

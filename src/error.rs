@@ -314,27 +314,27 @@ impl fmt::Display for DeltaFault {
     }
 }
 
-/// A resource with a limit; see [`Error::Limit`]. `Display` gives its name.
+/// A resource with a limit; see [`Error::Limit`]. `Display` gives its name. Each variant names the file that checks it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Resource {
-    /// Entries of the flattened hierarchy.
+    /// Entries of the flattened hierarchy. Checked in `graph/hierarchy/entries.rs`.
     HierarchyEntries,
-    /// Key slots, which a delta of some objects may skip.
+    /// Key slots, which a delta of some objects may skip. Checked in `graph/transfer/check.rs`.
     KeySlots,
-    /// Elements of a device array of this name.
+    /// Elements of a device array of this name. Checked in `compile/buffer_allocator.rs`.
     DeviceArray(&'static str),
-    /// Instances in the TLAS.
+    /// Instances in the TLAS. Checked in `compile/instance_table.rs`.
     Instances,
-    /// Pixels of an image.
+    /// Pixels of an image. Checked in `trace/frame_buffer.rs`.
     ImagePixels,
-    /// Columns of an image that a GPU renders.
+    /// Columns of an image that a GPU renders. Checked in `trace/gpu/frame.rs`.
     ImageWidth,
-    /// Rows of an image that a GPU renders.
+    /// Rows of an image that a GPU renders. Checked in `trace/gpu/frame.rs`.
     ImageHeight,
-    /// Bytes of the device array of this name in bindings of a GPU.
+    /// Bytes of the device array of this name in bindings of a GPU. Checked in `trace/gpu/scene.rs`.
     GpuArray(&'static str),
-    /// Bytes of a batch's rays in a binding of a GPU.
+    /// Bytes of a batch's rays in a binding of a GPU. Checked in `trace/gpu/batch.rs`, as the next three.
     RayBinding,
     /// Bytes of a batch's results in a binding of a GPU.
     ResultBinding,
@@ -342,7 +342,7 @@ pub enum Resource {
     RayBuffer,
     /// Bytes of the application's buffer of results.
     ResultBuffer,
-    /// Storage buffers of a shader stage of the kernel.
+    /// Storage buffers of a shader stage of the kernel. Checked in `trace/gpu/adapter.rs`, as all that follow.
     StorageBuffers,
     /// Storage textures of a shader stage of the kernel.
     StorageTextures,

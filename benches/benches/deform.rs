@@ -39,7 +39,7 @@ fn main() -> ExitCode {
         times(mesh, if options.quick { 5 } else { 15 }, &mut report);
     }
     for mesh in meshes.iter().take(if options.quick { 1 } else { 2 }) {
-        decay(mesh, &mut report);
+        rebuild_limits(mesh, &mut report);
     }
     report.finish(&options)
 }
@@ -106,8 +106,8 @@ fn times(mesh: &Mesh, samples: usize, report: &mut Report) {
     };
     let mut contenders: Vec<(&str, Contender)> = vec![
         ("refit", Box::new(|| time(|| assert!(blas.refit(turn(&mut a)))))),
-        ("build, fast", Box::new(|| time(|| build(turn(&mut b), Quality::Low)))),
-        ("build, balanced", Box::new(|| time(|| build(turn(&mut c), Quality::Medium)))),
+        ("build, low", Box::new(|| time(|| build(turn(&mut b), Quality::Low)))),
+        ("build, medium", Box::new(|| time(|| build(turn(&mut c), Quality::Medium)))),
         ("set_positions and compile", Box::new(|| shown.pose(turn(&mut d)))),
         ("obvhs refit, one thread", Box::new(|| time(|| peer.refit(turn(&mut e))))),
         ("obvhs build, fastest", Box::new(|| time(|| Peer::new(&poses[0])))),
@@ -189,7 +189,7 @@ impl Peer {
 }
 
 /// Frames of two seconds or more of a motion, with each limit.
-fn decay(mesh: &Mesh, report: &mut Report) {
+fn rebuild_limits(mesh: &Mesh, report: &mut Report) {
     let frames: Vec<Geometry> = (0..FRAMES).map(|frame| at(mesh, frame as f32 / 30.0)).collect();
     let fresh: Vec<f64> = frames.iter().map(|geometry| ray_cost(&build(geometry, Quality::Medium))).collect();
     for limit in LIMITS {

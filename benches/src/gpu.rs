@@ -63,8 +63,8 @@ impl Gpu {
     ///
     /// # Errors
     /// There is none, or the scene is too large for it.
-    pub fn new(options: &Options, arrays: &mut DeviceArrays, layout: Traversal) -> Result<Self> {
-        let mut tracer = open(options)?.with_traversal(layout);
+    pub fn new(options: &Options, arrays: &mut DeviceArrays, traversal: Traversal) -> Result<Self> {
+        let mut tracer = open(options)?.with_traversal(traversal);
         tracer.upload(arrays)?;
         Ok(Self(RefCell::new(tracer)))
     }

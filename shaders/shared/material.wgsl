@@ -28,9 +28,9 @@ fn fails_alpha_test(instance: InstanceRecord, primitive: u32, u: f32, v: f32) ->
     return base_color_at(material, triangle_point(instance, primitive, u, v)).w < material.alpha_cutoff;
 }
 
-// Transmittance of a surface to a shadow ray: 1 where the alpha test fails; else the transmitted share, of blended
-// materials (1 - alpha) plus alpha times it. Shadow rays are not refracted; Fresnel reflectance is taken at normal
-// incidence.
+// Transmittance of a surface to a shadow ray: 1 in a hole of the alpha test. Else the share that the material
+// transmits; with blending, that share weighted by alpha, plus 1 - alpha. Shadow rays are not refracted; Fresnel
+// reflectance is taken at normal incidence.
 fn surface_transmittance(instance: InstanceRecord, primitive: u32, u: f32, v: f32) -> vec3<f32> {
     let material = materials[instance.material];
     let point = triangle_point(instance, primitive, u, v);

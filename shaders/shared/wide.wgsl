@@ -167,7 +167,7 @@ fn encode_tlas_entry(index: u32, node: Node) -> u32 {
 }
 
 // Distance at which the ray enters a node's box, rounded down; NO_ENTRY if the box is missed or the node is an unused
-// slot.
+// leaf, or has no other leaves below it.
 fn tlas_entry_distance(ray: SlabRay, node: Node, t_min: f32, t_max: f32) -> f32 {
     let a = (node.min - ray.origin) * ray.reciprocal_direction;
     let b = (node.max - ray.origin) * ray.reciprocal_direction;

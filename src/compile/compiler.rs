@@ -26,7 +26,7 @@ use crate::math::{Aabb, Bounds};
 ///
 /// The arrays after any sequence of edits are equivalent to those of the same scene compiled from nothing: the same
 /// instances with the same records, boxes, geometry and material. Elements may lie at other indices, and the shape of
-/// the Tlas may differ.
+/// the TLAS may differ.
 #[derive(Debug)]
 pub struct Compiler {
     /// Which scene the arrays hold, and up to which change of its log.
@@ -51,12 +51,12 @@ pub struct Compiler {
     compile_count: u64,
 }
 
-/// How far a hierarchy has been read: its generation, and how many entries and gaps it had.
+/// How far a hierarchy has been read: its generation, and how many entries it had, and how many of them were removed.
 #[derive(Clone, Copy, Debug, Default)]
 struct HierarchyCursor {
     generation: u64,
     entry_count: usize,
-    gap_count: usize,
+    removed_count: usize,
 }
 
 /// What an instance shows: the path of its node (a node below an instance core appears once for each instance), its
@@ -68,7 +68,7 @@ pub struct InstanceSource {
     pub path: NodePath,
     /// Its geometry.
     pub geometry: GeometryKey,
-    /// Its material: that of the node's core, or of the nearest material group above it.
+    /// Its material: that of the outermost material group above it, else that of the node's core.
     pub material: MaterialKey,
 }
 
@@ -102,7 +102,7 @@ impl Compiler {
     /// Brings the arrays up to date with `scene` as seen from a viewpoint (an eye position converts to one).
     ///
     /// O(1) for an unchanged scene. Otherwise: an instance record for each instance that moved, came or went and one
-    /// update of the Tlas for all of them (patch, refit or rebuild), a Blas build for each new geometry, and a refit or
+    /// update of the TLAS for all of them (patch, refit or rebuild), a BLAS build for each new geometry, and a refit or
     /// a build for each geometry that changed.
     ///
     /// # Errors
@@ -210,12 +210,12 @@ impl Compiler {
         }
         // 1. Removed entries. One that is newer than the last compile was never classified.
         let (old_entry_count, entry_count) = (self.hierarchy_cursor.entry_count, hierarchy.nodes().len());
-        let gaps = hierarchy.removed_entries();
-        for &gap in &gaps[self.hierarchy_cursor.gap_count.min(gaps.len())..] {
-            self.view.remove_entry(gap);
-            self.lights.remove(gap);
-            if (gap as usize) < old_entry_count {
-                self.instances.set_member(gap as usize, None, &mut self.users)?;
+        let removed = hierarchy.removed_entries();
+        for &entry in &removed[self.hierarchy_cursor.removed_count.min(removed.len())..] {
+            self.view.remove_entry(entry);
+            self.lights.remove(entry);
+            if (entry as usize) < old_entry_count {
+                self.instances.set_member(entry as usize, None, &mut self.users)?;
             }
         }
         // 2. Changed subtrees and new entries: classify them.
@@ -236,14 +236,14 @@ impl Compiler {
         if changes.lights {
             self.lights.mark_all();
         }
-        self.hierarchy_cursor = HierarchyCursor { entry_count, gap_count: gaps.len(), ..self.hierarchy_cursor };
+        self.hierarchy_cursor = HierarchyCursor { entry_count, removed_count: removed.len(), ..self.hierarchy_cursor };
         Ok(())
     }
 
     /// Classifies all entries after the hierarchy was rebuilt, which gave them new indices.
     fn replace_all_entries(&mut self, scene: &Scene, hierarchy: &Hierarchy) -> Result<()> {
         let entry_count = hierarchy.nodes().len();
-        self.hierarchy_cursor = HierarchyCursor { generation: hierarchy.generation(), entry_count, gap_count: 0 };
+        self.hierarchy_cursor = HierarchyCursor { generation: hierarchy.generation(), entry_count, removed_count: 0 };
         self.lights.clear();
         self.view.clear();
         let mut members = Vec::new();
@@ -281,7 +281,7 @@ impl Compiler {
     fn classify_entry(&mut self, scene: &Scene, hierarchy: &Hierarchy, entry: usize) -> Option<Member> {
         let node = hierarchy.nodes()[entry];
         let resolved = &hierarchy.resolved()[entry];
-        // A gap has no core.
+        // A removed entry has no core.
         let core = scene.node_core(node).ok().filter(|_| resolved.visible && self.view.is_shown(entry));
         match core {
             Some(Core::Light(_)) => self.lights.insert(entry as u32),
@@ -321,7 +321,7 @@ impl Compiler {
         Ok(())
     }
 
-    /// Writes stale instance records, all lights if some are stale, and updates the Tlas.
+    /// Writes stale instance records, all lights if some are stale, and updates the TLAS.
     fn write_records(&mut self, scene: &Scene, hierarchy: &Hierarchy, report: &mut CompileReport) -> Result<()> {
         // 1. Instances.
         let inputs = RecordInputs {
@@ -339,7 +339,7 @@ impl Compiler {
         }
         // 2. Lights.
         self.lights.write(scene, hierarchy, &self.view, self.origin, &mut self.arrays.lights)?;
-        // 3. The Tlas. Of two updates in one compile the last that changed it is reported.
+        // 3. The TLAS. Of two updates in one compile the last that changed it is reported.
         let start = Instant::now();
         match self.bounds.update_tlas(&mut self.arrays.tlas_nodes) {
             TlasUpdate::Kept => {}
@@ -351,7 +351,7 @@ impl Compiler {
         Ok(())
     }
 
-    /// Releases all memory for instances when none is left, and restarts from empty tables and an empty Tlas.
+    /// Releases all memory for instances when none is left, and restarts from empty tables and an empty TLAS.
     fn clear_instances(&mut self) {
         self.instances.clear_slots();
         self.users = Users::default();

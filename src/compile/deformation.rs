@@ -1,4 +1,4 @@
-//! The policy for a Blas whose geometry changed: keep, refit or build, and with which builder. Decisions only.
+//! The policy for a BLAS whose geometry changed: keep, refit or build, and with which builder. Decisions only.
 
 use std::sync::Arc;
 

@@ -98,7 +98,7 @@ impl InstanceTable {
     }
 
     /// Replaces all members after the hierarchy has assigned new entry indices. An instance of the same node keeps its
-    /// slot where possible, and so its place in the `instances` array and its leaf of the Tlas. O(members).
+    /// slot where possible, and so its place in the `instances` array and its leaf of the TLAS. O(members).
     pub(super) fn replace_all_members(
         &mut self,
         members: impl Iterator<Item = Member>,

@@ -10,11 +10,11 @@
 //! | `users` | which instances use each geometry, and each material |
 //! | `geometry_table`, `vertex_streams` | bottom-level structures and vertex streams |
 //! | `material_table` | materials, texture references and texels |
-//! | `instance_bounds` | the world boxes of the instances and the Tlas over them |
+//! | `instance_bounds` | the world boxes of the instances and the TLAS over them |
 //! | `light_table` | the visible lights |
 //!
-//! No table knows another: `instance_record` computes an instance's record from several of them, and `pack` converts
-//! single values.
+//! No table holds another, though some take one as an argument: `instance_record` computes an instance's record from
+//! several of them, and `pack` converts single values.
 
 mod buffer_allocator;
 mod changes;

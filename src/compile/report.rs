@@ -12,10 +12,10 @@ use crate::device::Needs;
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct CompileReport {
-    /// How the Tlas was updated: kept, patched, refitted or rebuilt.
+    /// How the TLAS was updated: kept, patched, refitted or rebuilt.
     ///
     /// A compile that moves the render origin ([`rebased`](Self::rebased)) updates it twice; this is the last of the
-    /// two that changed it. When the last instance has gone the Tlas is emptied, which is reported as
+    /// two that changed it. When the last instance has gone the TLAS is emptied, which is reported as
     /// [`Kept`](TlasUpdate::Kept) with [`instances`](Self::instances) 0.
     pub tlas: TlasUpdate,
     /// Whether the render origin moved to the viewpoint because that had gone too far from it; every instance record
@@ -37,7 +37,7 @@ pub struct CompileReport {
     pub blas_freed: usize,
     /// Bottom-level structures there are now.
     pub blas_count: usize,
-    /// Instances in the Tlas.
+    /// Instances in the TLAS.
     pub instances: usize,
     /// Visible instances with triangles that no ray can hit: their matrix is singular or beyond f32, or all their
     /// triangles are degenerate.
@@ -62,7 +62,7 @@ pub struct CompileReport {
     /// Time to build and refit bottom-level structures, and to write them and their streams, in seconds.
     #[serde(serialize_with = "seconds")]
     pub blas_time: Duration,
-    /// Time to update the Tlas (patch, refit or rebuild), in seconds; both updates where the render origin moved.
+    /// Time to update the TLAS (patch, refit or rebuild), in seconds; both updates where the render origin moved.
     #[serde(serialize_with = "seconds")]
     pub tlas_time: Duration,
 }

@@ -62,7 +62,7 @@ impl ViewDependentState {
     /// Records that an entry is new, or that its core or children changed.
     pub(super) fn classify(&mut self, scene: &Scene, hierarchy: &Hierarchy, entry: usize) {
         let key = entry as u32;
-        // 1. Note LOD nodes and billboards. A gap has no core.
+        // 1. Note LOD nodes and billboards. A removed entry has no core.
         let Ok(core) = scene.node_core(hierarchy.nodes()[entry]) else { return };
         match core {
             Core::Lod(_) => self.lods.entry(key).or_default().is_applied = false,

@@ -218,8 +218,8 @@ impl WideChild {
 }
 
 /// An 8-wide node of a bottom-level hierarchy with quantised child boxes. Read by the GPU kernel and its emulated twin
-/// under `Traversal::Wide`, and by the CPU executor. The boxes contain those of the
-/// binary [`Node`]s and exceed them by at most one grid step a side (`accel::blas::collapse`). 96 bytes.
+/// under `Traversal::Wide`, and by the CPU executor. The boxes contain those of the binary [`Node`]s and exceed them by
+/// at most one grid step a side (`accel::blas::quantize`). 96 bytes.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct WideNode {
@@ -295,7 +295,7 @@ pub struct InstanceRecord {
     pub mask: u32,
     /// [`InstanceFlags`].
     pub flags: u32,
-    /// The scene node's key as two words of slotmap's `KeyData::as_ffi`: the key's index, then its version. (Not an
+    /// The scene node's key as two words of slotmap's `KeyData::as_ffi`: the key's slot, then its generation. (Not an
     /// instance index.)
     pub node_key: [u32; 2],
 }
@@ -313,8 +313,8 @@ bitflags::bitflags! {
         /// A transmissive material on a geometry that is not closed, and so encloses no volume: light passes without
         /// refraction.
         const THIN = 8;
-        /// Some triangle is in several leaves (spatial splits), so a ray may meet it more than once: queries that
-        /// accumulate over hits must count it once.
+        /// Some triangle is in several leaves (spatial splits, kd-tree), so a ray may meet it more than once: queries
+        /// that accumulate over hits must count it once.
         const HAS_DUPLICATES = 16;
     }
 }

@@ -110,8 +110,8 @@ fn check_relative(path: &str) -> Result<(), UriFault> {
     Ok(())
 }
 
-/// RFC 2397: `[mime type][;base64],payload`. The MIME type is ignored: the format of
-/// images is detected from their first bytes.
+/// RFC 2397: `[mime type][;base64],payload`. The MIME type is ignored: the format of images is detected from their
+/// first bytes.
 fn decode_data(data: &str) -> Result<Vec<u8>, UriFault> {
     let (kind, payload) = data.split_once(',').ok_or(UriFault::NoComma)?;
     let payload: Cow<'_, [u8]> = percent_decode_str(payload).into();

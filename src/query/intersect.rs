@@ -15,7 +15,7 @@ use glam::{DVec2, DVec3};
 
 use crate::device::layout::{Node, Triangle};
 
-/// A ray prepared for traversal, in world space for the Tlas or in local space for a Blas.
+/// A ray prepared for traversal, in world space for the TLAS or in local space for a BLAS.
 pub(super) struct TraversalRay {
     origin: DVec3,
     reciprocal_direction: DVec3,

@@ -127,12 +127,12 @@ impl<'a> Queries<'a> {
         point - self.compiler.origin()
     }
 
-    /// A traversal of the Tlas.
+    /// A traversal of the TLAS.
     fn traverse_tlas(&self) -> StacklessTraversal<'_> {
         StacklessTraversal::new(&self.compiler.arrays().tlas_nodes, &self.visited)
     }
 
-    /// A traversal of the instance's Blas.
+    /// A traversal of the instance's BLAS.
     fn traverse_blas(&self, placement: &PlacedInstance<'_>) -> StacklessTraversal<'_> {
         StacklessTraversal::new(
             &self.compiler.arrays().blas_nodes[placement.instance.first_node as usize..],
@@ -140,7 +140,7 @@ impl<'a> Queries<'a> {
         )
     }
 
-    /// The instance of a leaf of the Tlas, with its index, unless the mask excludes it.
+    /// The instance of a leaf of the TLAS, with its index, unless the mask excludes it.
     fn instance(&self, leaf: &Node) -> Option<(u32, &InstanceRecord)> {
         let instance_index = leaf.primitives.first_primitive();
         let instance = &self.compiler.arrays().instances[instance_index as usize];
@@ -152,7 +152,7 @@ impl<'a> Queries<'a> {
         self.instance(leaf).map(|(instance_index, instance)| PlacedInstance::new(instance_index, instance))
     }
 
-    /// The triangles of a leaf of a Blas, with the index of the first.
+    /// The triangles of a leaf of a BLAS, with the index of the first.
     fn triangles(&self, placement: &PlacedInstance<'_>, range: PrimitiveRange) -> (u32, &[Triangle]) {
         let first = placement.instance.first_triangle + range.first_primitive();
         (first, &self.compiler.arrays().triangles[first as usize..][..range.primitive_count() as usize])

@@ -54,7 +54,7 @@ impl NearestSearch<'_> {
         self.nearest.map_or(self.max_distance, |nearest| nearest.distance)
     }
 
-    /// The distance to a box of the Tlas.
+    /// The distance to a box of the TLAS.
     fn distance(&self, node: &Node) -> f64 {
         self.point.distance(self.point.clamp(to_dvec3(node.min), to_dvec3(node.max)))
     }
@@ -111,7 +111,7 @@ impl<'a> PointInInstance<'a> {
         Self { placement, world, local: placement.local_from_world.transform_point3(world) }
     }
 
-    /// Lower bound of the world distance to a Blas box: the distance to the supporting plane of the box perpendicular
+    /// Lower bound of the world distance to a BLAS box: the distance to the supporting plane of the box perpendicular
     /// to the direction towards the point nearest in local space. Exact without shear.
     fn distance(&self, node: &Node) -> f64 {
         // 1. The point of the box that is nearest in local space, and the world direction from it to the query point.

@@ -129,7 +129,7 @@ impl Queries<'_> {
         let origin = self.relative(ray.origin);
         let world = TraversalRay::new(origin, ray.direction);
         let mut t_max = ray.t_max;
-        // For each leaf of the Tlas: transform the ray to the instance's local space, without normalising it, so that t
+        // For each leaf of the TLAS: transform the ray to the instance's local space, without normalising it, so that t
         // means the same in both levels.
         let mut tlas = self.traverse_tlas();
         while let Some(leaf) = tlas.next_leaf(|node| world.intersects_box(node, ray.t_min, t_max)) {
@@ -138,7 +138,7 @@ impl Queries<'_> {
                 placement.local_from_world.transform_point3(origin),
                 placement.local_from_world.transform_vector3(ray.direction),
             );
-            // For each leaf of its Blas: test the triangles.
+            // For each leaf of its BLAS: test the triangles.
             let mut blas = self.traverse_blas(&placement);
             while let Some(leaf) = blas.next_leaf(|node| local.intersects_box(node, ray.t_min, t_max)) {
                 let (first, triangles) = self.triangles(&placement, leaf.primitives);

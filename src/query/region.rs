@@ -74,7 +74,7 @@ pub(super) enum Containment {
     Inside,
 }
 
-/// A region prepared for traversal, in world space for the Tlas or in local space for a Blas.
+/// A region prepared for traversal, in world space for the TLAS or in local space for a BLAS.
 pub(super) struct TraversalRegion {
     half_spaces: Vec<HalfSpace>,
 }

@@ -24,7 +24,7 @@ impl Queries<'_> {
         let world = TraversalRegion::relative(region, self.compiler.origin());
         let mut clipper = Clipper::default();
         let mut instances = Vec::new();
-        // For each leaf of the Tlas that is not outside: inside as a whole, or a traversal of its Blas decides.
+        // For each leaf of the TLAS that is not outside: inside as a whole, or a traversal of its BLAS decides.
         let mut tlas = self.traverse_tlas();
         while let Some(leaf) = tlas.next_leaf(|node| world.classify_box(node) != Containment::Outside) {
             let Some((instance_index, instance)) = self.instance(leaf) else { continue };

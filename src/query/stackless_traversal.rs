@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::device::layout::{NONE, Node};
 
-/// A traversal of one hierarchy (the Tlas or a Blas) that yields its leaves. It needs no stack: the escape index of a
+/// A traversal of one hierarchy (the TLAS or a BLAS) that yields its leaves. It needs no stack: the escape index of a
 /// node leads to the next one when its box is missed or its subtree is finished.
 pub(super) struct StacklessTraversal<'a> {
     nodes: &'a [Node],

@@ -166,7 +166,7 @@ fn build_subtree(nodes: &[Node], index: usize, triangles: &impl Fn(PrimitiveRang
     if node.is_leaf() {
         return TreeNode { node, children: Vec::new(), triangles: triangles(node.primitives) };
     }
-    // Children along escape indices, without unused slots.
+    // Children along escape indices, without empty ones.
     let mut children = Vec::new();
     let mut child = index as u32 + 1;
     while child != node.escape_index && (child as usize) < nodes.len() {

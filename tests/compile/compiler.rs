@@ -35,10 +35,10 @@ proptest! {
             if i % every == 0 || i + 1 == edits.len() {
                 // Some levels of detail depend on the projected size.
                 let height = ViewHeight::Perspective([0.1, 1.0, 10.0][i % 3]);
-                let observer = Viewpoint { height, ..EYE.into() };
-                let report = compiler.compile(&mut world.scene, observer).unwrap();
+                let viewpoint = Viewpoint { height, ..EYE.into() };
+                let report = compiler.compile(&mut world.scene, viewpoint).unwrap();
                 let mut fresh = Compiler::new();
-                let fresh_report = fresh.compile(&mut world.scene, observer).unwrap();
+                let fresh_report = fresh.compile(&mut world.scene, viewpoint).unwrap();
                 world.scene.validate().unwrap();
                 let exact = Canonical::exactly(compiler.arrays());
                 prop_assert_eq!(exact.difference(&Canonical::exactly(fresh.arrays())), None);
@@ -102,7 +102,7 @@ fn random_deformations_show_what_is_compiled_from_nothing() {
     });
     outcome.unwrap_or_else(|failure| panic!("{failure}"));
     println!(
-        "{refitted:?} refitted, {built:?} built for other triangles, decay, choice; {hits:?} hits, {same:?} the same"
+        "{refitted:?} refitted, {built:?} built for other triangles, cost, structure; {hits:?} hits, {same:?} the same"
     );
     assert!(hits.get() > 10_000 && same.get() * 10 > hits.get() * 9);
     assert!(refitted.get() > 1000 && built.get().iter().all(|&count| count > 3));
@@ -230,7 +230,7 @@ fn an_unchanged_scene_changes_nothing() {
 }
 
 #[test]
-fn a_moved_node_patches_the_top_level_only() {
+fn a_moved_node_patches_the_tlas_only() {
     let mut scene = Scene::new();
     let (geometry, material) = (tetrahedron(&mut scene, 0), scene.add_material(Material::default()).unwrap());
     let nodes: Vec<NodeKey> = (0..1000)
@@ -256,7 +256,7 @@ fn a_moved_node_patches_the_top_level_only() {
 }
 
 #[test]
-fn a_changed_material_keeps_the_top_level() {
+fn a_changed_material_keeps_the_tlas() {
     let mut world = World::new();
     world.populate();
     let mut compiler = Compiler::new();

@@ -294,9 +294,9 @@ fn levels_of_detail_suit_the_size_in_the_image() {
     let scale = scene.add(scene.root(), Transform::from_scale(DVec3::new(1.0, 2.0, 1.0))).unwrap();
     let node = scene.add(scale, Lod::by_projected_size(1.0, [0.5])).unwrap();
     squares(&mut scene, node, 2);
-    let instances = |scene: &mut Scene, observer: Viewpoint| {
+    let instances = |scene: &mut Scene, viewpoint: Viewpoint| {
         let mut compiler = Compiler::new();
-        compiler.compile(scene, observer).unwrap();
+        compiler.compile(scene, viewpoint).unwrap();
         let hierarchy = scene.hierarchy().unwrap();
         let shown = (0..2).find_map(|slot| compiler.instance_source(slot, hierarchy)).unwrap().path.node;
         scene.children(node).unwrap().position(|child| child == shown)

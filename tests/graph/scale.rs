@@ -114,5 +114,5 @@ fn scattered_edits_of_30_000_nodes() {
         scene.hierarchy().unwrap();
         scene.validate().unwrap();
     }
-    assert_eq!(scene.hierarchy().unwrap().generation(), generation, "grafts were to be tested");
+    assert_eq!(scene.hierarchy().unwrap().generation(), generation, "appended ranges were to be tested");
 }

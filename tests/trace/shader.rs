@@ -12,7 +12,7 @@ use ropewalk::device::layout::{
     FrameParams, GeometryRecord, HitRecord, InstanceRecord, LightRecord, MaterialRecord, Node, RayBatch, RayRecord,
     TextureInfo, Triangle, WideNode,
 };
-use ropewalk::trace::Traversal as Walked;
+use ropewalk::trace::Traversal;
 use ropewalk::trace::shader::{ArraySplit, ArraySplits, EntryPoint, Include, KernelVariant};
 
 const TYPES: &str = include_str!("../../shaders/shared/types.wgsl");
@@ -36,8 +36,8 @@ fn every_kernel_is_valid_whatever_is_needed() {
         for entry in EntryPoint::ALL {
             let splits =
                 ArraySplits::default().with_nodes(ArraySplit::new(20, 10)).with_triangles(ArraySplit::new(40, 10));
-            parse(entry, KernelVariant::from(needs).with_traversal(Walked::Rope).with_splits(splits));
-            parse(entry, KernelVariant::from(needs).with_traversal(Walked::Rope));
+            parse(entry, KernelVariant::from(needs).with_traversal(Traversal::Rope).with_splits(splits));
+            parse(entry, KernelVariant::from(needs).with_traversal(Traversal::Rope));
             let module = parse(entry, needs);
             assert!(module.entry_points.iter().any(|e| e.name == entry.name()), "{entry:?} is in its module");
         }
@@ -51,10 +51,10 @@ fn includes() -> impl Iterator<Item = Include> {
     let needs = [Needs::empty(), all].into_iter().chain(all.iter().flat_map(move |flag| [flag, all - flag]));
     let split = ArraySplits::default().with_nodes(ArraySplit::new(20, 10)).with_triangles(ArraySplit::new(40, 10));
     let bound = [
-        (Walked::Rope, split),
-        (Walked::Rope, ArraySplits::default()),
-        (Walked::Wide, split),
-        (Walked::Wide, ArraySplits::default()),
+        (Traversal::Rope, split),
+        (Traversal::Rope, ArraySplits::default()),
+        (Traversal::Wide, split),
+        (Traversal::Wide, ArraySplits::default()),
     ];
     let variants = needs.flat_map(move |needs| {
         bound.map(|(layout, splits)| KernelVariant::from(needs).with_traversal(layout).with_splits(splits))

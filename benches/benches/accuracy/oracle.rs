@@ -51,7 +51,7 @@ impl LocalRay {
     }
 }
 
-/// The closest hit of a ray from t = 0 on, by walking the arrays' hierarchies.
+/// The closest hit of a ray from t = 0 on, by traversing the arrays' hierarchies.
 pub fn closest(arrays: &DeviceArrays, ray: &RayRecord) -> Option<Exact> {
     let world = LocalRay::new(ray);
     let mut found: Option<Exact> = None;

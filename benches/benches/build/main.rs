@@ -30,9 +30,9 @@ const NAMES: [&str; 4] = ["bunny", "dragon-res2", "dragon", "sponza"];
 const QUICK_NAMES: [&str; 2] = ["bunny", "sponza"];
 
 const OURS: [(&str, BlasKind); 4] = [
-    ("ropewalk, fast", BlasKind::Bvh(Quality::Low)),
-    ("ropewalk, balanced", BlasKind::Bvh(Quality::Medium)),
-    ("ropewalk, best", BlasKind::Bvh(Quality::High)),
+    ("ropewalk, low", BlasKind::Bvh(Quality::Low)),
+    ("ropewalk, medium", BlasKind::Bvh(Quality::Medium)),
+    ("ropewalk, high", BlasKind::Bvh(Quality::High)),
     ("ropewalk, kd-tree", BlasKind::KdTree),
 ];
 

@@ -166,8 +166,8 @@ fn measure_size(
     for kind in KINDS {
         let rays = sets.of(kind);
         let mut entries: Vec<Entry> = Vec::new();
-        for (name, layout) in [("emulated, rope", Traversal::Rope), ("emulated, wide", Traversal::Wide)] {
-            let kernel = Emulated::default().with_traversal(layout);
+        for (name, traversal) in [("emulated, rope", Traversal::Rope), ("emulated, wide", Traversal::Wide)] {
+            let kernel = Emulated::default().with_traversal(traversal);
             let counts = Some(work(&kernel, arrays, rays));
             let runner = Box::new(Traced::new(kernel, &pools[0], arrays, rays, kind));
             entries.push(Entry { name: name.to_owned(), runner, counts });

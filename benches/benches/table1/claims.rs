@@ -42,7 +42,7 @@ impl Walks {
 pub fn claims(measured: &[Measured], walks: &[Walks]) -> Vec<String> {
     let mut lines = arrays_against_pointers(measured, walks);
     lines.extend(triangle_count(measured));
-    lines.extend(first_hits(measured));
+    lines.extend(primary_hits(measured));
     lines
 }
 
@@ -120,7 +120,7 @@ fn triangle_count(measured: &[Measured]) -> Vec<String> {
 }
 
 /// Each scene from twice the distance against each smaller one from the usual.
-fn first_hits(measured: &[Measured]) -> Vec<String> {
+fn primary_hits(measured: &[Measured]) -> Vec<String> {
     let with = |setting| measured.iter().filter(move |figure| figure.setting == setting);
     let counted = |setting| with(setting).filter(|figure| figure.paper_column == Some(PaperColumn::Emulated));
     let mut lines = Vec::new();
@@ -142,7 +142,7 @@ fn first_hits(measured: &[Measured]) -> Vec<String> {
     lines.insert(
         0,
         format!(
-            "CLAIM a larger scene can be faster when fewer first rays hit it: {verdict}, in {faster} of {all} cases"
+            "CLAIM a larger scene can be faster when fewer primary rays hit it: {verdict}, in {faster} of {all} cases"
         ),
     );
     lines
@@ -152,7 +152,7 @@ fn first_hits(measured: &[Measured]) -> Vec<String> {
 fn told(figure: &Measured) -> String {
     let counts = figure.counts;
     format!(
-        "{} from {}: {} first rays hit, {} rays in all, {:.1} nodes a ray",
+        "{} from {}: {} primary rays hit, {} rays in all, {:.1} nodes a ray",
         figure.scene,
         figure.setting,
         counts.primary_hits,

@@ -17,9 +17,9 @@ pub struct Executor<'a> {
     pub name: String,
     pub paper_column: Option<PaperColumn>,
     /// Whether it traces the paper's arrays instead of the shipped ones.
-    pub walks_paper: bool,
+    pub is_paper: bool,
     /// Its traversal, if the kernel can count it.
-    pub layout: Option<Traversal>,
+    pub traversal: Option<Traversal>,
     tracer: Box<dyn Tracer + Send>,
     pool: &'a ThreadPool,
     clock: Clock,
@@ -80,17 +80,20 @@ pub fn counts<'a>(
     request: &FrameRequest,
     arrays: impl Fn(&Executor<'_>) -> &'a DeviceArrays,
 ) -> Vec<FrameCounts> {
-    let walk = |executor: &Executor| Some((executor.layout?, executor.walks_paper));
+    let traversal = |executor: &Executor| Some((executor.traversal?, executor.is_paper));
     let mut counted: Vec<((Traversal, bool), FrameCounts)> = Vec::new();
     for executor in executors {
-        let Some(walk) = walk(executor) else { continue };
-        if counted.iter().all(|(other, _)| *other != walk) {
-            counted.push((walk, Emulated::default().with_traversal(walk.0).count_frame(arrays(executor), request)));
+        let Some(traversal) = traversal(executor) else { continue };
+        if counted.iter().all(|(other, _)| *other != traversal) {
+            counted.push((
+                traversal,
+                Emulated::default().with_traversal(traversal.0).count_frame(arrays(executor), request),
+            ));
         }
     }
     let rays = counted.first().map_or(FrameCounts::default(), |(_, counts)| *counts);
     let rays = FrameCounts { cost: TraversalCounts::default(), ..rays };
-    let of = |executor: &Executor| counted.iter().find(|(other, _)| Some(*other) == walk(executor));
+    let of = |executor: &Executor| counted.iter().find(|(other, _)| Some(*other) == traversal(executor));
     executors.iter().map(|executor| of(executor).map_or(rays, |(_, counts)| *counts)).collect()
 }
 
@@ -104,32 +107,32 @@ pub fn executors<'a>(
     let new = |name: &str, tracer: Box<dyn Tracer + Send>, pool| Executor {
         name: name.to_owned(),
         paper_column: None,
-        walks_paper: false,
-        layout: None,
+        is_paper: false,
+        traversal: None,
         tracer,
         pool,
         clock: Clock::Call,
     };
-    let emulated = |layout| Box::new(Emulated::default().with_traversal(layout));
+    let emulated = |traversal| Box::new(Emulated::default().with_traversal(traversal));
     let mut executors = vec![
         Executor {
             paper_column: Some(PaperColumn::Recursive),
-            walks_paper: true,
+            is_paper: true,
             ..new("recursive, paper's structure", Box::<Recursive>::default(), one)
         },
         Executor {
             paper_column: Some(PaperColumn::Emulated),
-            walks_paper: true,
-            layout: Some(Traversal::Rope),
+            is_paper: true,
+            traversal: Some(Traversal::Rope),
             ..new("emulated, paper's structure, rope", emulated(Traversal::Rope), one)
         },
-        Executor { layout: Some(Traversal::Rope), ..new("emulated, rope", emulated(Traversal::Rope), one) },
-        Executor { layout: Some(Traversal::Wide), ..new("emulated, wide", emulated(Traversal::Wide), one) },
+        Executor { traversal: Some(Traversal::Rope), ..new("emulated, rope", emulated(Traversal::Rope), one) },
+        Executor { traversal: Some(Traversal::Wide), ..new("emulated, wide", emulated(Traversal::Wide), one) },
         new("cpu, 1 thread", Box::<Cpu>::default(), one),
         new(&format!("cpu, {} threads", all.current_num_threads()), Box::<Cpu>::default(), all),
     ];
     for executor in &mut executors {
-        executor.tracer.upload(if executor.walks_paper { &mut *paper } else { scene.compiler.arrays_mut() })?;
+        executor.tracer.upload(if executor.is_paper { &mut *paper } else { scene.compiler.arrays_mut() })?;
     }
     #[cfg(feature = "gpu")]
     match gpus(scene, paper, options, all) {
@@ -139,7 +142,7 @@ pub fn executors<'a>(
     Ok(executors)
 }
 
-/// The GPU by each layout: the time that it says itself and, for the shipped one, until a user has the image.
+/// The GPU by each traversal: the time that it says itself and, for the shipped one, until a user has the image.
 #[cfg(feature = "gpu")]
 fn gpus<'a>(
     scene: &mut BenchScene,
@@ -153,9 +156,9 @@ fn gpus<'a>(
         (", wide, until read back", Traversal::Wide, false, Clock::ReadBack),
     ];
     let mut executors = Vec::new();
-    for (how, layout, walks_paper, clock) in entries {
-        let mut tracer = gpu::open(options)?.with_traversal(layout);
-        tracer.upload(if walks_paper { &mut *paper } else { scene.compiler.arrays_mut() })?;
+    for (how, traversal, is_paper, clock) in entries {
+        let mut tracer = gpu::open(options)?.with_traversal(traversal);
+        tracer.upload(if is_paper { &mut *paper } else { scene.compiler.arrays_mut() })?;
         let features = tracer.wgpu_device().features();
         if clock == Clock::Gpu && !features.contains(wgpu::Features::TIMESTAMP_QUERY) {
             println!("{}: {}{how}: skipped: it has no clock", scene.name, gpu::label(&tracer));
@@ -164,8 +167,8 @@ fn gpus<'a>(
         executors.push(Executor {
             name: format!("{}{how}", gpu::label(&tracer)),
             paper_column: (gpu::label(&tracer) == "gpu").then_some(PaperColumn::Gpu),
-            walks_paper,
-            layout: Some(layout),
+            is_paper,
+            traversal: Some(traversal),
             tracer: Box::new(tracer),
             pool,
             clock,

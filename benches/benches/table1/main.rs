@@ -2,7 +2,7 @@
 //!
 //! Time is that of tracing one frame of an unchanged scene. Sphere, bunny and dragon fill about the same part of the
 //! image, and a quarter of that from twice the distance. The renderer has no soft shadows yet: with shadows, one ray
-//! goes from each hit to one point light. Emulated and recursive run on one thread; both walk the paper's own
+//! goes from each hit to one point light. Emulated and recursive run on one thread; both traverse the paper's own
 //! structure, one triangle a leaf, and emulated the shipped one too.
 
 mod claims;
@@ -113,7 +113,7 @@ fn measure_all(options: &Options) -> Result<Report> {
         "seconds a frame",
         "times recursive",
         "the paper's seconds",
-        "first rays that hit",
+        "primary rays that hit",
         "rays",
         "shadow rays",
         "ns a ray",
@@ -173,7 +173,7 @@ fn measure_scene(
         let lights = if setting.has_shadows { scene.arrays().lights.len() as u32 } else { 0 };
         let params = view.frame_params(scene.compiler.origin(), lights);
         let request = FrameRequest { params, needs: scene.needs, aovs: false };
-        let arrays = |executor: &Executor| if executor.walks_paper { &paper } else { scene.arrays() };
+        let arrays = |executor: &Executor| if executor.is_paper { &paper } else { scene.arrays() };
         let mut contenders: Vec<Contender> = Vec::new();
         for executor in &mut executors {
             let arrays = arrays(executor);
@@ -212,7 +212,7 @@ fn add_row(figure: &Measured, all: &[Measured], options: &Options, report: &mut 
         PaperColumn::Emulated => emulated.to_string(),
     });
     let [width, height] = size(options);
-    let FrameCounts { radiance_rays: rays, primary_hits: first_hits, shadow_rays, cost: work } = figure.counts;
+    let FrameCounts { radiance_rays: rays, primary_hits, shadow_rays, cost: work } = figure.counts;
     let a_ray = |total: u64| if total == 0 { String::new() } else { format!("{:.1}", figure.a_ray(total as f64)) };
     report.row([
         figure.scene.to_owned(),
@@ -224,7 +224,7 @@ fn add_row(figure: &Measured, all: &[Measured], options: &Options, report: &mut 
         format!("{:.4}", figure.seconds),
         recursive.map_or(String::new(), |recursive| format!("{:.2}", recursive.seconds / figure.seconds)),
         paper.unwrap_or_default(),
-        first_hits.to_string(),
+        primary_hits.to_string(),
         rays.to_string(),
         shadow_rays.to_string(),
         format!("{:.0}", figure.a_ray(figure.seconds * 1e9)),

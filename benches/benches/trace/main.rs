@@ -1,7 +1,7 @@
 //! The rate of each executor for each kind of ray, and the cost of a ray in nodes, boxes, triangles and bytes.
 //!
 //! The first row of each block is the paper's own method: ropes in one fixed order, one triangle a leaf, one ray after
-//! the other. Counts are the kernel's own; the executor `cpu` walks by packets, which have no count a ray. With the
+//! the other. Counts are the kernel's own; the executor `cpu` traverses by packets, which have no count a ray. With the
 //! cargo feature `gpu` the executor `gpu` is measured too, where there is a GPU.
 
 use std::process::ExitCode;
@@ -22,7 +22,7 @@ use ropewalk_bench::scenes::{BenchScene, ImageSize, SCENES};
 use ropewalk_bench::{Contender, Options, Report, Result, finish, medians, thread_pool};
 
 /// The traversals of the kernel, and whether the arrays are the paper's or the shipped ones.
-const LAYOUTS: [(&str, Traversal, bool); 3] = [
+const TRAVERSALS: [(&str, Traversal, bool); 3] = [
     ("paper: rope of 1 triangle a leaf", Traversal::Rope, true),
     ("rope", Traversal::Rope, false),
     ("wide", Traversal::Wide, false),
@@ -104,17 +104,17 @@ fn measure_scene(
     for &kind in kinds {
         let rays = sets.of(kind);
         let mut entries = Vec::new();
-        for (how, layout, is_paper) in LAYOUTS {
+        for (how, traversal, is_paper) in TRAVERSALS {
             let arrays = if is_paper { &paper } else { scene.arrays() };
-            let runner = Traced::new(Emulated::default().with_traversal(layout), &pools[0], arrays, rays, kind);
-            let work = Some(KernelCounts::of(arrays, rays, kind, layout));
+            let runner = Traced::new(Emulated::default().with_traversal(traversal), &pools[0], arrays, rays, kind);
+            let work = Some(KernelCounts::of(arrays, rays, kind, traversal));
             entries.push(Entry { name: format!("emulated, {how}"), runner: Box::new(runner), work });
         }
         entries.extend(pools.iter().map(|pool| cpu(pool, scene.arrays(), rays, kind)));
         #[cfg(feature = "gpu")]
-        for ((how, layout, is_paper), gpu) in LAYOUTS.into_iter().zip(&gpus) {
+        for ((how, traversal, is_paper), gpu) in TRAVERSALS.into_iter().zip(&gpus) {
             let arrays = if is_paper { &paper } else { scene.arrays() };
-            let work = Some(KernelCounts::of(arrays, rays, kind, layout));
+            let work = Some(KernelCounts::of(arrays, rays, kind, traversal));
             if let Some(resident) = gpu.resident(rays, kind) {
                 entries.push(Entry { name: format!("{}, {how}", gpu.label()), runner: Box::new(resident), work });
             }
@@ -133,11 +133,11 @@ fn measure_scene(
     Ok(())
 }
 
-/// The GPU with each of the layouts; none where there is no GPU, or one too small.
+/// The GPU with each of the traversals; none where there is no GPU, or one too small.
 #[cfg(feature = "gpu")]
 fn open_gpus(options: &Options, paper: &mut DeviceArrays, scene: &mut BenchScene) -> Vec<Gpu> {
-    let opened = LAYOUTS.map(|(_, layout, is_paper)| {
-        Gpu::new(options, if is_paper { &mut *paper } else { scene.compiler.arrays_mut() }, layout)
+    let opened = TRAVERSALS.map(|(_, traversal, is_paper)| {
+        Gpu::new(options, if is_paper { &mut *paper } else { scene.compiler.arrays_mut() }, traversal)
     });
     let opened: Result<Vec<Gpu>> = opened.into_iter().collect();
     match &opened {

@@ -1,4 +1,4 @@
-//! World transforms after some nodes moved: Ropewalk, `bevy_transform` and a tree in a slotmap, walked from the top.
+//! World transforms after some nodes moved: Ropewalk, `bevy_transform` and a tree in a slotmap, visited from the top.
 
 use std::time::{Duration, Instant};
 

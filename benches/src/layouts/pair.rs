@@ -1,4 +1,4 @@
-//! Nodes that hold the boxes of two children: one fetch tests both, the nearer is walked first, the other waits on a
+//! Nodes that hold the boxes of two children: one fetch tests both, the nearer is visited first, the other waits on a
 //! stack.
 
 use super::tree::Content;
@@ -44,7 +44,7 @@ impl Walk for Pairs {
                         ([Some(t), None], [child, _]) | ([None, Some(t)], [_, child]) => stack.push((t, child)),
                         ([None, None], _) => {}
                     }
-                    // The nearest is walked at once.
+                    // The nearest is visited at once.
                     counts.stack = counts.stack.max(stack.len().saturating_sub(1) as u64);
                 }
             }

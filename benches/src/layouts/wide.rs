@@ -5,7 +5,7 @@ use glam::Vec3;
 use super::tree::Content;
 use super::{Counts, SlabRay, Tree, VisitLeaf, Walk};
 
-/// In which order children are walked.
+/// In which order children are visited.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Order {
     /// By the distance at which the ray enters their boxes. One on the stack is dropped if a nearer hit has been found

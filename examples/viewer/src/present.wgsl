@@ -56,7 +56,7 @@ fn load(x: i32, y: i32) -> vec3f {
     return min(textureLoad(frame, vec2i(x, y), 0).rgb, vec3f(4.0));
 }
 
-// The Khronos PBR Neutral tone mapper; `neutral` of src/image/tonemap.rs.
+// The Khronos PBR Neutral tone mapper; `khronos_pbr_neutral` of src/image/tonemap.rs.
 fn neutral(radiance: vec3f) -> vec3f {
     let start = 0.8 - 0.04;
     let desaturation = 0.15;

@@ -1,4 +1,5 @@
-//! Collapses a pruned binary tree into 8-wide nodes with quantised boxes.
+//! Collapses a build tree into 8-wide nodes with quantised boxes. Its leaves are those that pruning made; inner nodes
+//! count whether pruning keeps them or not.
 //!
 //! A wide node starts as one binary node, and the inner child with the largest surface area is replaced by its two
 //! children until there are eight (I. Wald, C. Benthin, S. Boulos, *Getting Rid of Packets*, 2008). Where the result

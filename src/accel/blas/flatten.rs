@@ -22,14 +22,14 @@ pub(super) fn flatten(tree: &PrunedTree<'_>) -> FlattenedTree {
     let mut nodes = bytemuck::zeroed_vec(size.nodes as usize);
     let mut primitive_indices = bytemuck::zeroed_vec(size.primitives as usize);
     // 2. Write them from the root, large subtrees in parallel.
-    let position = EmitPosition { node: 0, end: size.nodes, depth: 0 };
+    let position = SubtreePosition { node: 0, end: size.nodes, depth: 0 };
     write_subtree(tree, tree.root(), position, &mut nodes, &mut primitive_indices);
     FlattenedTree { nodes, primitive_indices }
 }
 
 /// Where the nodes of a subtree are written in the output array.
 #[derive(Clone, Copy)]
-struct EmitPosition {
+struct SubtreePosition {
     /// The index of the subtree's first node.
     node: u32,
     /// The total number of nodes: a subtree that ends there has escape index [`NONE`].
@@ -42,12 +42,12 @@ struct EmitPosition {
 fn write_subtree(
     tree: &PrunedTree<'_>,
     subtree: SubtreeRoot,
-    position: EmitPosition,
+    position: SubtreePosition,
     mut nodes: &mut [Node],
     primitive_indices: &mut [u32],
 ) {
     let size = tree.size(subtree.node);
-    let mut below = EmitPosition { depth: position.depth + 1, ..position };
+    let mut below = SubtreePosition { depth: position.depth + 1, ..position };
     // 1. If the root of the subtree is kept, write it: its box, its escape index, which is that of the first node after
     // the subtree, and, for a leaf, its primitives.
     if size.top_node_count == 1
@@ -73,7 +73,7 @@ fn write_subtree(
         let first_size = tree.size(first.node);
         let (first_nodes, second_nodes) = nodes.split_at_mut(first_size.nodes as usize);
         let (first_indices, second_indices) = primitive_indices.split_at_mut(first_size.primitives as usize);
-        let after_first = EmitPosition { node: below.node + first_size.nodes, ..below };
+        let after_first = SubtreePosition { node: below.node + first_size.nodes, ..below };
         tree.join_near_root(
             position.depth,
             || write_subtree(tree, first, below, first_nodes, first_indices),

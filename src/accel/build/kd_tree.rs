@@ -9,7 +9,7 @@ use crate::accel::tree::{BuildTree, PrimitiveReference, ReferenceBounds, SahPara
 use crate::graph::Geometry;
 
 /// The duplicate budget as a fraction of the triangle count: leaves hold at most twice as many references as there are
-/// triangles. A larger budget makes the tree worse (`docs/BENCHMARKS.md`).
+/// triangles. A larger budget makes the tree worse (`docs/benchmarks/log.md`).
 const DUPLICATE_BUDGET: f32 = 1.0;
 
 /// Builds a kd-tree over `references`, whose bounds are `extent`. O(n log n).

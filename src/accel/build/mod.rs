@@ -24,8 +24,8 @@ use crate::Result;
 use crate::graph::{BlasKind, Geometry, Quality};
 use crate::math::Aabb;
 
-/// The duplicate budget of spatial splits for [`Quality::High`], as a fraction of the triangle count. A larger one
-/// makes the tree hardly better (`docs/BENCHMARKS.md`).
+/// The duplicate budget of spatial splits for [`Quality::High`], as a fraction of the triangle count. What a
+/// larger one gains is in `docs/benchmarks/log.md`.
 const HIGH_QUALITY_DUPLICATE_BUDGET: f32 = 0.3;
 /// The reinsertion done for [`Quality::High`].
 const HIGH_QUALITY_REINSERTION: ReinsertionParams = ReinsertionParams { iterations: 4, candidate_fraction: 0.1 };

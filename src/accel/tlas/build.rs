@@ -3,7 +3,7 @@
 use super::cost::AreaSums;
 use super::leaf_table::LeafTable;
 use super::node::{instance_leaf, with_box_around};
-use crate::accel::build::agglomerative::{self, ClusterKind, Member, MergeRecord, MortonOrder};
+use crate::accel::build::agglomerative::{self, ChildCluster, ClusterKind, MergeRecord, MortonOrder};
 use crate::device::layout::{NONE, Node, PrimitiveRange};
 
 /// Subtrees of fewer leaves are flattened by one thread.
@@ -13,7 +13,7 @@ const TASK_MINIMUM: u32 = 1 << 11;
 pub(super) struct ClusterTree {
     order: MortonOrder,
     merges: Vec<MergedCluster>,
-    root: Option<Member>,
+    root: Option<ChildCluster>,
 }
 
 /// A merged cluster.
@@ -29,8 +29,8 @@ struct MergedCluster {
 const MERGED_BIT: u32 = 1 << 31;
 
 impl MergeRecord for MergedCluster {
-    fn new(children: [Member; 2], merges: &[Self], first: usize) -> Self {
-        let leaves = |child: &Member| match child.kind {
+    fn new(children: [ChildCluster; 2], merges: &[Self], first: usize) -> Self {
+        let leaves = |child: &ChildCluster| match child.kind {
             ClusterKind::Single(_) => 1,
             ClusterKind::Merged(merge) => merges[merge - first].leaf_count,
         };
@@ -41,7 +41,7 @@ impl MergeRecord for MergedCluster {
 
 impl MergedCluster {
     /// A cluster as [`children`](Self::children) has it.
-    fn encode(cluster: Member) -> u32 {
+    fn encode(cluster: ChildCluster) -> u32 {
         match cluster.kind {
             ClusterKind::Single(position) => position as u32,
             ClusterKind::Merged(merge) => merge as u32 | MERGED_BIT,

@@ -136,8 +136,8 @@ impl Tlas {
         policy::report(action, was_empty && nodes.is_empty(), instances, changed_nodes)
     }
 
-    /// Patches or refits the hierarchy, as `policy` decides. If that decides for a rebuild, on the way or in the end,
-    /// the hierarchy is not up to date.
+    /// Patches or refits the hierarchy, as `policy` decides. If the action that it returns is a rebuild, the nodes may
+    /// be half updated: the caller must build.
     fn update_in_place(&mut self, nodes: &mut DeviceBuffer<Node>, boxes: &[Aabb], changed: &[u32]) -> Updated {
         let mut updated = Updated { action: Action::Keep, instances: 0, nodes: 0 };
         self.leaves.resize(boxes.len());

@@ -13,12 +13,13 @@
 //! | | the cost has grown by more than half since the last build | rebuild ([`RebuildReason::CostGrown`]) |
 //! | | otherwise | as chosen |
 //!
-//! [`reserved_leaf_count`] decides how many unused leaves a rebuild leaves for instances that are added later, and
+//! [`reserved_leaf_count`] decides how many unused leaves a rebuild reserves for instances that are added later, and
 //! [`report`] what the caller is told.
 
 use super::report::{RebuildReason, TlasUpdate};
 
-/// A hierarchy is rebuilt when its cost exceeds this multiple of its cost after the last build (`docs/BENCHMARKS.md`).
+/// A hierarchy is rebuilt when its cost exceeds this multiple of its cost after the last build
+/// (`docs/benchmarks/log.md`).
 pub(super) const MAX_COST_RATIO: f64 = 1.5;
 
 /// Patching is chosen if at most one leaf in this many, plus this many, changed: beyond that a refit is faster.

@@ -51,8 +51,8 @@ impl fmt::Display for TlasUpdate {
             Self::Patched { instances, nodes } => write!(f, "patched (instances: {instances}, nodes: {nodes})"),
             Self::Refitted { instances } => write!(f, "refitted (instances: {instances})"),
             Self::Rebuilt(RebuildReason::Empty) => f.write_str("built"),
-            Self::Rebuilt(RebuildReason::NoUnusedLeaf) => f.write_str("rebuilt (no room for new instances)"),
-            Self::Rebuilt(RebuildReason::Sparse) => f.write_str("rebuilt (half empty)"),
+            Self::Rebuilt(RebuildReason::NoUnusedLeaf) => f.write_str("rebuilt (no unused leaf)"),
+            Self::Rebuilt(RebuildReason::Sparse) => f.write_str("rebuilt (sparse)"),
             Self::Rebuilt(RebuildReason::CostGrown) => f.write_str("rebuilt (cost grown)"),
         }
     }

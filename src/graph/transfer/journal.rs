@@ -36,8 +36,8 @@ impl Journal {
 
 /// Recording; called by every edit.
 impl Scene {
-    /// Saves the object's state once, before its first edit. Must be called before every edit. One branch if neither a
-    /// transaction nor undo is active.
+    /// To be called before every edit of an object. The first call in a transaction or undo group saves the object's
+    /// state; later ones do nothing. One branch if neither a transaction nor undo is active.
     pub(in crate::graph) fn save_prior_state(&mut self, object: impl Into<ObjectKey>) {
         if self.journal.is_active() {
             self.save_state_once(object.into());

@@ -35,7 +35,7 @@ pub(super) enum ChildVisit {
     },
 }
 
-/// Greatest number of nodes on a path from the root: the depth of the per-level arrays.
+/// Depth of the per-level arrays: more than the number of nodes on any path from the root.
 pub(super) const MAX_NODE_DEPTH: usize = MAX_WIDE_DEPTH + 1;
 
 /// Stack entries: index of an ancestor and a bit for each of its children still to be visited. Reused without clearing;

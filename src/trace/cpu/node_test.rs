@@ -221,8 +221,8 @@ impl<'a, S: Simd> NodeTest<'a, S> for Incoherent<'a, S> {
         Self { simd, rays, levels: &mut scratch.incoherent }
     }
 
-    /// Distance to a plane: `plane * (step * reciprocal) + (origin - ray.origin) * reciprocal`; `accel::wide` bounds
-    /// its rounding.
+    /// Distance to a plane: `plane * (step * reciprocal) + (origin - ray.origin) * reciprocal`; `accel::blas::quantize`
+    /// bounds its rounding.
     #[inline(always)]
     fn intersect_children(&mut self, node: &WideNode, depth: usize, lanes: u64, t_max: &F32Lanes) -> u32 {
         let (simd, rays) = (self.simd, self.rays);

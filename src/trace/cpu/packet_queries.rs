@@ -57,7 +57,7 @@ fn hit_of_lane<S: Simd>(hits: &TriangleHits<f32x16<S>>, lane: usize) -> Triangle
 
 /// One lane of a packet's query state.
 pub(super) struct QueryLane<'a, A> {
-    pub(super) answers: &'a mut A,
+    pub(super) queries: &'a mut A,
     pub(super) lane: usize,
 }
 
@@ -65,18 +65,18 @@ impl<A: PacketQuery> QueryLane<'_, A> {
     /// The lane's current `t_max`.
     #[inline(always)]
     pub(super) fn t_max(&self) -> f32 {
-        self.answers.t_max()[self.lane]
+        self.queries.t_max()[self.lane]
     }
 
     /// Offers the lane's query a hit with a triangle, with t in [`t_min`, `t_max`]. Whether a layered instance is
     /// skipped is decided per hit, not per leaf as in the kernel: a ray that hits nothing of it needs no second pass.
     #[inline(always)]
-    pub(super) fn accept_hit(&mut self, place: &InstanceGeometry<'_>, triangle: u32, hit: &TriangleHit) {
-        let mut query = self.answers.query(self.lane);
-        if !query.skips_instance(place.instance.flags) {
-            query.accept_hit(place.scene, &place.candidate(triangle, hit), place.instance.flags);
+    pub(super) fn accept_hit(&mut self, geometry: &InstanceGeometry<'_>, triangle: u32, hit: &TriangleHit) {
+        let mut query = self.queries.query(self.lane);
+        if !query.skips_instance(geometry.instance.flags) {
+            query.accept_hit(geometry.scene, &geometry.candidate(triangle, hit), geometry.instance.flags);
         }
-        self.answers.set_query(self.lane, query);
+        self.queries.set_query(self.lane, query);
     }
 }
 
@@ -111,7 +111,7 @@ pub(super) trait PacketQuery {
     fn accept_hits<S: Simd>(
         &mut self,
         simd: S,
-        place: &InstanceGeometry<'_>,
+        geometry: &InstanceGeometry<'_>,
         triangle: u32,
         lanes: u64,
         at: &TriangleHits<f32x16<S>>,
@@ -214,29 +214,29 @@ impl PacketQuery for ClosestPacket {
     fn accept_hits<S: Simd>(
         &mut self,
         simd: S,
-        place: &InstanceGeometry<'_>,
+        geometry: &InstanceGeometry<'_>,
         triangle: u32,
         lanes: u64,
         at: &TriangleHits<f32x16<S>>,
     ) {
-        let flags = place.instance.flags;
-        let primitive = place.scene.triangles[triangle as usize].primitive;
+        let flags = geometry.instance.flags;
+        let primitive = geometry.scene.triangles[triangle as usize].primitive;
         let mut lanes = lanes;
         // Break ties by instance and primitive.
         let t = load(simd, self.t);
         for lane in lanes_of(at.t.simd_eq(t).to_bitmask() & lanes) {
-            let candidate = place.candidate(triangle, &hit_of_lane(at, lane));
+            let candidate = geometry.candidate(triangle, &hit_of_lane(at, lane));
             lanes &= !(u64::from(!is_before(&candidate, &self.query(lane).hit)) << lane);
         }
         // Cull back faces.
-        if place.has_flags(InstanceFlags::CULL_BACK) {
+        if geometry.has_flags(InstanceFlags::CULL_BACK) {
             lanes &= !at.back;
         }
         // Alpha test.
-        if place.has_flags(InstanceFlags::ALPHA_MASK) {
+        if geometry.has_flags(InstanceFlags::ALPHA_MASK) {
             for lane in lanes_of(lanes) {
-                let candidate = place.candidate(triangle, &hit_of_lane(at, lane));
-                lanes &= !(u64::from(is_cut_out(place.scene, &candidate, flags)) << lane);
+                let candidate = geometry.candidate(triangle, &hit_of_lane(at, lane));
+                lanes &= !(u64::from(is_cut_out(geometry.scene, &candidate, flags)) << lane);
             }
         }
         // Keep the candidates that are left.
@@ -248,7 +248,7 @@ impl PacketQuery for ClosestPacket {
         self.t = is_closer.select(at.t, t).into();
         self.u = is_closer.select(at.u, load(simd, self.u)).into();
         self.v = is_closer.select(at.v, load(simd, self.v)).into();
-        set(&mut self.instance, place.index);
+        set(&mut self.instance, geometry.index);
         set(&mut self.primitive, primitive);
         set(&mut self.triangle, triangle);
         self.back = self.back & !lanes | at.back & lanes;
@@ -302,17 +302,17 @@ impl PacketQuery for AnyPacket {
     fn accept_hits<S: Simd>(
         &mut self,
         simd: S,
-        place: &InstanceGeometry<'_>,
+        geometry: &InstanceGeometry<'_>,
         triangle: u32,
         lanes: u64,
         at: &TriangleHits<f32x16<S>>,
     ) {
-        let flags = place.instance.flags;
+        let flags = geometry.instance.flags;
         let mut lanes = lanes;
-        if place.has_flags(InstanceFlags::TRANSLUCENT) {
+        if geometry.has_flags(InstanceFlags::TRANSLUCENT) {
             for lane in lanes_of(lanes) {
-                let candidate = place.candidate(triangle, &hit_of_lane(at, lane));
-                lanes &= !(u64::from(!is_opaque_at(place.scene, &candidate, flags)) << lane);
+                let candidate = geometry.candidate(triangle, &hit_of_lane(at, lane));
+                lanes &= !(u64::from(!is_opaque_at(geometry.scene, &candidate, flags)) << lane);
             }
         }
         let ended = f32x16::splat(simd, f32::NEG_INFINITY);
@@ -384,16 +384,16 @@ impl PacketQuery for TransmittancePacket {
     fn accept_hits<S: Simd>(
         &mut self,
         simd: S,
-        place: &InstanceGeometry<'_>,
+        geometry: &InstanceGeometry<'_>,
         triangle: u32,
         lanes: u64,
         at: &TriangleHits<f32x16<S>>,
     ) {
         // Translucent: one lane after the other.
-        if place.has_flags(InstanceFlags::TRANSLUCENT) {
+        if geometry.has_flags(InstanceFlags::TRANSLUCENT) {
             for lane in lanes_of(lanes) {
                 let hit = hit_of_lane(at, lane);
-                QueryLane { answers: self, lane }.accept_hit(place, triangle, &hit);
+                QueryLane { queries: self, lane }.accept_hit(geometry, triangle, &hit);
             }
             return;
         }
@@ -466,7 +466,7 @@ mod tests {
                 let mut queries = [new(4.0); LANES];
                 for _ in 0..20 {
                     let index = random(state, 2);
-                    let place =
+                    let geometry =
                         InstanceGeometry { scene, index, instance: &scene.instances[index as usize], nodes: &[] };
                     // Few distances, so that there are ties.
                     let hits = TriangleHits {
@@ -478,13 +478,13 @@ mod tests {
                     let in_range = hits.t.simd_le(load(simd, *packet.t_max())).to_bitmask();
                     let lanes = in_range & u64::from(random(state, 1 << 16));
                     let triangle = random(state, 3);
-                    packet.accept_hits(simd, &place, triangle, lanes, &hits);
+                    packet.accept_hits(simd, &geometry, triangle, lanes, &hits);
                     for lane in lanes_of(lanes) {
                         let before = queries[lane];
                         let query = &mut queries[lane];
-                        if !query.skips_instance(place.instance.flags) {
-                            let candidate = place.candidate(triangle, &hit_of_lane(&hits, lane));
-                            query.accept_hit(scene, &candidate, place.instance.flags);
+                        if !query.skips_instance(geometry.instance.flags) {
+                            let candidate = geometry.candidate(triangle, &hit_of_lane(&hits, lane));
+                            query.accept_hit(scene, &candidate, geometry.instance.flags);
                         }
                         accepted += u32::from(*query != before);
                     }

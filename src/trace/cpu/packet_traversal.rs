@@ -103,7 +103,7 @@ impl<'a, S: Simd, Q: PacketQuery, N: NodeTest<'a, S>> PacketTraversal<'a, S, Q, 
             simd,
             lanes,
             corners,
-            load(&rays.depth_scale),
+            load(&rays.t_to_sheared),
             #[inline(always)]
             |t, weights| {
                 let operands = PlaneOperands {

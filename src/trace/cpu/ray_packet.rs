@@ -84,8 +84,8 @@ pub(super) struct LocalPacket {
     pub(super) shear: Shear<F32Lanes>,
     /// Ray origins permuted to the shear axes.
     pub(super) sheared_origins: [F32Lanes; 3],
-    /// Factor from t to units of the sheared x and y.
-    pub(super) depth_scale: F32Lanes,
+    /// Factor from t to units of sheared x and y.
+    pub(super) t_to_sheared: F32Lanes,
     /// For each ray its row of [`SHEAR_AXES`](super::shear::SHEAR_AXES).
     pub(super) shear_axes: [u32; LANES],
     /// For each ray its direction octant: bit i is set where the direction is negative along axis i.
@@ -142,7 +142,7 @@ impl LocalPacket {
             t_min: packet.t_min.into(),
             shear,
             sheared_origins: store(sheared_origins),
-            depth_scale: (depth.abs() * scale).into(),
+            t_to_sheared: (depth.abs() * scale).into(),
             shear_axes: axes.rows(simd).into(),
             octants: octants.into(),
             is_packet_safe: greatest_products.simd_lt(f32::MAX).to_bitmask() == 0xffff,

@@ -41,7 +41,7 @@ pub(super) fn traverse_single_rays<S: Simd, Q: PacketQuery>(
         #[inline(always)]
         || {
             for lane in lanes_of(lanes) {
-                let query = &mut QueryLane { answers: queries, lane };
+                let query = &mut QueryLane { queries, lane };
                 traverse_single_ray(simd, root, scratch, geometry, rays, lane, query);
             }
         },
@@ -63,7 +63,7 @@ pub(super) fn intersect_leaf_single_rays<S: Simd, Q: PacketQuery>(
         #[inline(always)]
         || {
             for lane in lanes_of(lanes) {
-                let query = &mut QueryLane { answers: queries, lane };
+                let query = &mut QueryLane { queries, lane };
                 intersect_leaf(simd, geometry, rays, lane % LANES, triangles, query);
             }
         },
@@ -245,7 +245,7 @@ fn intersect_four_triangles<S: Simd>(
         simd,
         lanes,
         corners,
-        splat_lane(simd, &rays.depth_scale, lane),
+        splat_lane(simd, &rays.t_to_sheared, lane),
         #[inline(always)]
         |t, weights| {
             let [x, y, z] = map_axes(

@@ -46,7 +46,7 @@ pub(super) fn intersect_triangles<S: Simd, V: SimdFloat<S, Element = f32>>(
     simd: S,
     lanes: u64,
     [x, y, t]: [[V; 3]; 3],
-    depth_scale: V,
+    t_to_sheared: V,
     plane_distance: impl FnOnce([V; 3], [V; 3]) -> V,
 ) -> Option<(u64, TriangleHits<V>)> {
     // 1. Compute the edge functions, twice the areas of the sub-triangles, and from their sum the facing.
@@ -63,7 +63,7 @@ pub(super) fn intersect_triangles<S: Simd, V: SimdFloat<S, Element = f32>>(
     // Reject lanes that are outside an edge by more than the tolerance of the whole triangle.
     let (x_abs, y_abs, t_abs) = (abs(x), abs(y), abs(t));
     let (x_extent, y_extent) = (max_component(x_abs), max_component(y_abs));
-    let depth = max_component(t_abs) * depth_scale;
+    let depth = max_component(t_abs) * t_to_sheared;
     let tolerance = (depth * (x_extent + y_extent) + x_extent * y_extent * 4.0) * EDGE_TOLERANCE;
     let outside = least_w.simd_lt(-tolerance).to_bitmask();
     let mut hit_lanes = lanes & !outside;
@@ -83,7 +83,7 @@ pub(super) fn intersect_triangles<S: Simd, V: SimdFloat<S, Element = f32>>(
         // Repeat the edge test with the tighter tolerance of each edge's own two vertices.
         let (x, y, z) = (greater_of_others(x_abs), greater_of_others(y_abs), greater_of_others(t_abs));
         for i in 0..3 {
-            let tolerance = (z[i] * depth_scale * (x[i] + y[i]) + x[i] * y[i] * 4.0) * EDGE_TOLERANCE;
+            let tolerance = (z[i] * t_to_sheared * (x[i] + y[i]) + x[i] * y[i] * 4.0) * EDGE_TOLERANCE;
             hit_lanes &= !(w[i] + tolerance).simd_lt(zero).to_bitmask();
         }
     }

@@ -12,9 +12,9 @@
 //! the depth, so the stack always suffices. Both levels share the stack and the loop: an instance is finished when the
 //! stack is back at its size on entry.
 //!
-//! **Boxes.** A quantised box is hit wherever the exact box is; `accel::wide` proves it for the expression used here.
-//! The comparison allows [`BOX_ENTRY_SCALE`] as that of the exact boxes does, and the least entry distance on the stack
-//! is rounded down.
+//! **Boxes.** A quantised box is hit wherever the exact box is; `accel::blas::quantize` proves it for the expression
+//! used here. The comparison allows [`BOX_ENTRY_SCALE`] as that of the exact boxes does, and the least entry distance
+//! on the stack is rounded down.
 
 use glam::Vec3;
 
@@ -183,7 +183,7 @@ impl<C: TraversalCounter> WideTraversal<C> {
     }
 
     /// Distance at which the ray enters a node's box, rounded down; [`NO_ENTRY`] if the box is missed or the node is an
-    /// unused slot.
+    /// unused leaf, or has no other leaves below it.
     fn tlas_entry_distance(&mut self, node: &Node, t_max: f32) -> f32 {
         self.counter.boxes(1);
         let SlabRay { origin, reciprocal_direction: reciprocal } = self.ray.level_ray;

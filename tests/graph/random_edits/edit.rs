@@ -16,13 +16,13 @@ pub(crate) enum Edit {
     Add(NodeKey, CoreSource),
     Remove(NodeKey),
     Reparent(NodeKey, NodeKey, KeepTransform),
-    SetCore(NodeKey, CoreSource),
+    AssignCore(NodeKey, CoreSource),
     SetLocal(NodeKey, Transform),
     SetName(NodeKey, String),
     SetMask(NodeKey, u32),
     SetVisible(NodeKey, bool),
     AddCore(Core),
-    EditCore(CoreKey, Core),
+    SetCore(CoreKey, Core),
     AddGeometry(Geometry),
     SetGeometry(GeometryKey, Geometry),
     SetPositions(GeometryKey, Vec<Vec3>, Option<Vec<Vec3>>),
@@ -125,7 +125,7 @@ impl Edit {
                 }
                 Ok(())
             }
-            Self::SetCore(key, source) => {
+            Self::AssignCore(key, source) => {
                 node(*key)?;
                 if *key == model.root {
                     let core = match source {
@@ -144,7 +144,7 @@ impl Edit {
             }
             Self::SetName(key, _) | Self::SetMask(key, _) | Self::SetVisible(key, _) => node(*key),
             Self::AddCore(core) => check_core(core, model),
-            Self::EditCore(key, core) => {
+            Self::SetCore(key, core) => {
                 core_key(*key)?;
                 let of_root = model.nodes[&model.root].core == *key;
                 not(of_root && *core != Core::Group, Fault::Root)?;
@@ -185,12 +185,12 @@ impl Edit {
             Self::AddTexture(texture) => scene.add_texture(texture).map(|key| Some(key.into())),
             Self::Remove(key) => scene.remove(key).map(|()| None),
             Self::Reparent(key, parent, keep) => scene.reparent(key, parent, keep).map(|()| None),
-            Self::SetCore(key, source) => scene.assign_core(key, source).map(|()| None),
+            Self::AssignCore(key, source) => scene.assign_core(key, source).map(|()| None),
             Self::SetLocal(key, transform) => scene.set_local(key, transform).map(|()| None),
             Self::SetName(key, name) => scene.set_name(key, name).map(|()| None),
             Self::SetMask(key, mask) => scene.set_mask(key, mask).map(|()| None),
             Self::SetVisible(key, visible) => scene.set_visible(key, visible).map(|()| None),
-            Self::EditCore(key, core) => scene.set_core(key, core).map(|()| None),
+            Self::SetCore(key, core) => scene.set_core(key, core).map(|()| None),
             Self::SetGeometry(key, geometry) => scene.set_geometry(key, geometry).map(|()| None),
             Self::SetPositions(key, positions, normals) => {
                 scene.set_positions(key, positions, normals.map(Into::into)).map(|()| None)
@@ -239,7 +239,7 @@ impl Edit {
                     model.nodes.get_mut(&key).unwrap().core = core;
                 }
             }
-            (Self::SetCore(key, source), _) => {
+            (Self::AssignCore(key, source), _) => {
                 let old = model.nodes[&key].core;
                 let alone = model.users(old).len() == 1;
                 if !(alone && source == CoreSource::New(model.cores[&old].clone())) {
@@ -254,7 +254,7 @@ impl Edit {
             (Self::SetName(key, name), _) => model.nodes.get_mut(&key).unwrap().name = name,
             (Self::SetMask(key, mask), _) => model.nodes.get_mut(&key).unwrap().mask = mask,
             (Self::SetVisible(key, visible), _) => model.nodes.get_mut(&key).unwrap().visible = visible,
-            (Self::EditCore(key, core), _) => {
+            (Self::SetCore(key, core), _) => {
                 let _ = model.cores.insert(key, core);
             }
             (Self::AddGeometry(geometry), Some(ObjectKey::Geometry(key))) | (Self::SetGeometry(key, geometry), _) => {

@@ -150,9 +150,10 @@ fn fault(arrays: &DeviceArrays) -> Option<String> {
                 return Some(format!("triangle {primitive} sticks out"));
             }
             let primitives: HashSet<u32> = triangles.iter().map(|triangle| triangle.primitive).collect();
-            let repeats = InstanceFlags::from_bits_retain(instance.flags).contains(InstanceFlags::HAS_DUPLICATES);
-            if repeats != (primitives.len() < triangles.len()) {
-                return Some(format!("an instance that repeats: {repeats}"));
+            let has_duplicates =
+                InstanceFlags::from_bits_retain(instance.flags).contains(InstanceFlags::HAS_DUPLICATES);
+            if has_duplicates != (primitives.len() < triangles.len()) {
+                return Some(format!("an instance that has duplicates: {has_duplicates}"));
             }
             let first_wide = arrays.geometries[instance.geometry as usize].first_wide_node;
             let wide_nodes = arrays.wide_nodes.get(first_wide as usize..).unwrap_or_default();

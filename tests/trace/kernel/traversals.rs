@@ -96,7 +96,7 @@ fn meshes_of_all_sizes() {
 /// A TLAS as deep as its number of instances, whose boxes all overlap, so that far more nodes wait than the stacks of
 /// the kernel and of the CPU hold. No builder makes one as deep.
 #[test]
-fn a_top_level_deeper_than_the_stacks() {
+fn a_tlas_deeper_than_the_stacks() {
     let mut random = Random::new(3);
     // The instances are small and apart, so that a node that is skipped in error changes hits.
     let mut one = || {

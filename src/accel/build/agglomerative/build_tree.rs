@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::cluster::{Cluster, ClusterKind, Member};
+use super::cluster::{ChildCluster, Cluster, ClusterKind};
 use super::clustering::{MergeRecord, build};
 use super::morton::MortonOrder;
 use crate::accel::tree::{BuildNode, BuildTree, PrimitiveReference};
@@ -29,12 +29,12 @@ pub(in crate::accel) fn build_tree(references: &[PrimitiveReference]) -> BuildTr
 const CHUNK: usize = 1 << 12;
 
 impl MergeRecord for [BuildNode; 2] {
-    fn new(children: [Member; 2], _: &[Self], _: usize) -> Self {
+    fn new(children: [ChildCluster; 2], _: &[Self], _: usize) -> Self {
         children.map(build_node)
     }
 }
 
-fn build_node(cluster: Member) -> BuildNode {
+fn build_node(cluster: ChildCluster) -> BuildNode {
     match cluster.kind {
         ClusterKind::Single(position) => BuildNode::leaf(&cluster.bounds, position, 1),
         ClusterKind::Merged(merge) => BuildNode::inner(&cluster.bounds, 1 + 2 * merge),

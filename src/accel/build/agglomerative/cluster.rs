@@ -47,16 +47,16 @@ impl Cluster {
     }
 
     /// The cluster as the record of a merge sees it; `box_count` is the number of all boxes.
-    pub(super) fn as_child(&self, box_count: usize) -> Member {
+    pub(super) fn as_child(&self, box_count: usize) -> ChildCluster {
         let index = self.tagged_index() as usize;
         let kind = if index < box_count { ClusterKind::Single(index) } else { ClusterKind::Merged(index - box_count) };
-        Member { bounds: self.bounds, kind }
+        ChildCluster { bounds: self.bounds, kind }
     }
 }
 
 /// A cluster as the record of its merge with another sees it.
 #[derive(Clone, Copy)]
-pub(in crate::accel) struct Member {
+pub(in crate::accel) struct ChildCluster {
     /// The fourth lanes are padding and may hold anything.
     pub(in crate::accel) bounds: SimdAabb,
     pub(in crate::accel) kind: ClusterKind,

@@ -1,6 +1,6 @@
 //! Approximate agglomerative clustering of boxes in Morton order.
 
-use super::cluster::{Cluster, Member};
+use super::cluster::{ChildCluster, Cluster};
 use super::morton::MortonOrder;
 use crate::accel::tree::{ReferenceBounds, SimdAabb};
 
@@ -15,12 +15,12 @@ pub(in crate::accel) const MAX_CLUSTER_DEPTH: usize = 2 * 64 + 2;
 pub(in crate::accel) trait MergeRecord: Copy + Send {
     /// The record of merging two clusters, the one with the larger surface area first: it is hit more often, and may
     /// hide the other. `merges` holds the records of this range, the first of which has the index `first`.
-    fn new(children: [Member; 2], merges: &[Self], first: usize) -> Self;
+    fn new(children: [ChildCluster; 2], merges: &[Self], first: usize) -> Self;
 }
 
 /// Merges all boxes into one cluster, writing a record of each merge to `merges`. Returns the root, or `None` without
 /// boxes. O(n log n): the logarithm is the binary search for the split of each range.
-pub(in crate::accel) fn build<R: MergeRecord>(order: &MortonOrder, merges: &mut [R]) -> Option<Member> {
+pub(in crate::accel) fn build<R: MergeRecord>(order: &MortonOrder, merges: &mut [R]) -> Option<ChildCluster> {
     // 1. Scale areas to the size of the scene.
     let builder = ClusterBuilder { order, scale: scene_scale(order.extent()) };
     let root = match order.len() {

@@ -7,7 +7,8 @@
 //!
 //! This is the approximate agglomerative clustering of Y. Gu, Y. He, K. Fatahalian, G. Blelloch, *Efficient BVH
 //! Construction via Approximate Agglomerative Clustering* (2013), with a cluster count after each range that is always
-//! 2 instead of growing with the range: more made the build slower and the hierarchy no better (docs/BENCHMARKS.md).
+//! 2 instead of growing with the range: more made the build slower and the hierarchy no better
+//! (`docs/benchmarks/log.md`).
 //!
 //! The bottom level keeps a pair of build nodes of each merge (`build_tree`), the top level a record of its own
 //! (`accel::tlas::build`).
@@ -19,6 +20,6 @@ mod morton;
 mod radix_sort;
 
 pub(in crate::accel) use self::build_tree::build_tree;
-pub(in crate::accel) use self::cluster::{ClusterKind, Member};
+pub(in crate::accel) use self::cluster::{ChildCluster, ClusterKind};
 pub(in crate::accel) use self::clustering::{MAX_CLUSTER_DEPTH, MergeRecord, TASK_MINIMUM, build};
 pub(in crate::accel) use self::morton::MortonOrder;
