@@ -86,7 +86,7 @@ pub(super) fn reserved_leaf_count(used: usize, has_run_out: bool) -> usize {
     if has_run_out { (used / 64).max((used / 4).min(8)) } else { 0 }
 }
 
-/// What is reported of an update that changed so many instances and nodes. A rebuild of an empty hierarchy into an
+/// The report of an update that changed this many instances and nodes. A rebuild of an empty hierarchy into an
 /// empty one (`stays_empty`) changes nothing.
 pub(super) fn report(action: Action, stays_empty: bool, instances: usize, nodes: usize) -> TlasUpdate {
     match action {
