@@ -2,15 +2,15 @@
 //! Compressed Wide BVHs*, 2017): 8-bit planes on a grid over the node, whose step along each axis is a power of two.
 //!
 //! **Rounding.** A child's quantised planes lie outside its padded box by at least [`QUANTIZATION_MARGIN`] steps. The
-//! traversal computes the distance to a plane as `(plane * step + (origin - ray.origin)) * reciprocal`; `plane * step` is
-//! exact. Let v = 2^-23 be the relative error of one operation, and D = |origin - ray.origin|. Then the difference is off by
-//! at most v D, and D is at most the plane's distance plus 255 steps. The first share, like the rounding of the sum and the
-//! product, is relative to the result and covered by `BOX_ENTRY_SCALE` (`trace::kernel::intersect`); the second is below
-//! 2^-15 steps and covered by the margin.
+//! traversal computes the distance to a plane as `(plane * step + (origin - ray.origin)) * reciprocal`; `plane * step`
+//! is exact. Let v = 2^-23 be the relative error of one operation, and D = |origin - ray.origin|. Then the difference
+//! is off by at most v D, and D is at most the plane's distance plus 255 steps. The first share, like the rounding of
+//! the sum and the product, is relative to the result and covered by `BOX_ENTRY_SCALE` (`trace::kernel::intersect`);
+//! the second is below 2^-15 steps and covered by the margin.
 //!
-//! Incoherent packets compute `plane * (step * reciprocal) + (origin - ray.origin) * reciprocal` with a fused multiply-add:
-//! each product has at most two roundings and |plane * step| is at most 255 steps, so the error that is not relative to the
-//! result is below 2^-13 steps.
+//! Incoherent packets compute `plane * (step * reciprocal) + (origin - ray.origin) * reciprocal` with a fused
+//! multiply-add: each product has at most two roundings and |plane * step| is at most 255 steps, so the error that is
+//! not relative to the result is below 2^-13 steps.
 
 use glam::{DVec3, Vec3};
 
