@@ -214,7 +214,7 @@ fn json_is_all_there_is_on_standard_output() {
     let frame = &report["frames"][0];
     assert_eq!(frame["output"], "out.png");
     assert_eq!(frame["device"]["executor"], "cpu");
-    assert_eq!((&frame["compile"]["triangles"], &frame["compile"]["instances"]), (&json!(1), &json!(1)));
+    assert_eq!((&frame["compile"]["unique_triangles"], &frame["compile"]["instances"]), (&json!(1), &json!(1)));
     assert!(frame["trace_time"].as_f64().unwrap() > 0.0);
     assert_eq!(run.files, ["out.png"]);
 }

@@ -124,7 +124,7 @@ pub enum SceneSelector {
 /// let root = scene.root();
 /// let import = gltf::import(&path, &mut scene, root)?;
 /// let arm = import.node("arm").unwrap();
-/// assert_eq!(scene.world(arm)?.translation.to_array(), [1.0, 2.0, 3.0]);
+/// assert_eq!(scene.world_from_local(arm)?.translation.to_array(), [1.0, 2.0, 3.0]);
 /// assert!(import.warnings.is_empty());
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
