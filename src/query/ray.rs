@@ -8,8 +8,8 @@ use super::hit::{Hit, HitCandidate};
 use super::intersect::{TraversalRay, TriangleIntersection};
 use super::{PlacedInstance, Queries, require};
 use crate::Result;
-use crate::device::layout::{self, InstanceFlags, NONE, Triangle};
-use crate::trace::kernel::{KernelScene, closest_hit, fails_alpha_test};
+use crate::device::layout::{self, NONE, Triangle};
+use crate::trace::kernel::{KernelScene, closest_hit, is_culled, is_cut_out};
 
 /// A ray in world space.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -174,13 +174,16 @@ impl Queries<'_> {
         triangle: &Triangle,
         crossing: &TriangleIntersection,
     ) -> bool {
-        let instance = placement.instance;
-        let flags = InstanceFlags::from_bits_retain(instance.flags);
-        if crossing.back_face && flags.contains(InstanceFlags::CULL_BACK) {
-            return false;
-        }
-        let [u, v] = [crossing.barycentrics.y, crossing.barycentrics.z].map(|weight| weight as f32);
+        let flags = placement.instance.flags;
+        let candidate = layout::HitRecord {
+            u: crossing.barycentrics.y as f32,
+            v: crossing.barycentrics.z as f32,
+            instance: placement.instance_index,
+            primitive: triangle.primitive,
+            back_face: u32::from(crossing.back_face),
+            ..layout::HitRecord::MISS
+        };
         let scene = KernelScene::new(self.compiler.arrays());
-        !(flags.contains(InstanceFlags::ALPHA_MASK) && fails_alpha_test(&scene, instance, triangle.primitive, u, v))
+        !is_culled(&candidate, flags) && !is_cut_out(&scene, &candidate, flags)
     }
 }

@@ -29,11 +29,10 @@ pub(crate) use intersect::{
     SlabRay, TriangleHit, intersects_box, max_component, shear_ray, slab_ray,
 };
 pub(crate) use light::LightSample;
-pub(crate) use material::fails_alpha_test;
 #[cfg(test)]
 pub(crate) use query::is_layered;
 pub(crate) use query::{
-    AnyQuery, ClosestQuery, Query, TransmittanceQuery, candidate_hit, intersect_leaf, is_before, is_cut_out,
+    AnyQuery, ClosestQuery, Query, TransmittanceQuery, candidate_hit, intersect_leaf, is_before, is_culled, is_cut_out,
     is_opaque_at,
 };
 pub(crate) use traversal_state::{TraversalCounter, TraversalRay};
