@@ -10,13 +10,13 @@ use crate::graph::Scene;
 use crate::math::Bounds;
 use crate::query::{Hit, Queries, Ray};
 
-/// Which nodes rays of a batch can hit: those whose mask, ANDed with the masks of all nodes above them, has a bit in
+/// Which nodes rays of a batch can hit: those whose mask, combined (and) with the masks of all nodes above, has a bit in
 /// common with it (see [`Scene::set_mask`]).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct RayMask(pub u32);
 
 impl RayMask {
-    /// All nodes but those whose mask, ANDed with those of all nodes above them, is 0.
+    /// All nodes but those whose mask, combined (and) with those of all nodes above, is 0.
     pub const ALL: Self = Self(u32::MAX);
 }
 

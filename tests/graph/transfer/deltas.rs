@@ -97,7 +97,7 @@ fn each_misfit_is_named() {
     }
     assert!(matches!(small.refuses(&[(root.into(), None)]), Error::Root { attempt: RootEdit::Remove }));
     let light = small.with(root_core, |state| *state = ObjectState::Core(Core::Camera(Camera::default())));
-    assert_eq!(small.refuses(&[light]), Error::Root { attempt: RootEdit::AssignCore(CoreKind::Camera) });
+    assert_eq!(small.refuses(&[light]), Error::Root { attempt: RootEdit::SetCore(CoreKind::Camera) });
     let moved = small.with(root.into(), |state| node(state).parent = Some(key(arm)));
     assert_eq!(small.refuses(&[moved]), Error::Root { attempt: RootEdit::Move });
     let bad = small.with(core, |state| *state = ObjectState::Core(Core::Transform(Transform::from_scale(DVec3::NAN))));
