@@ -10,8 +10,8 @@ use crate::graph::Scene;
 use crate::math::Bounds;
 use crate::query::{Hit, Queries, Ray};
 
-/// Which nodes rays of a batch can hit: those whose mask, combined (and) with the masks of all nodes above, has a bit in
-/// common with it (see [`Scene::set_mask`]).
+/// Which nodes rays of a batch can hit: those whose mask, combined (and) with the masks of all nodes above, has a bit
+/// in common with it (see [`Scene::set_mask`]).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct RayMask(pub u32);
 

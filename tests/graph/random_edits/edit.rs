@@ -11,7 +11,6 @@ use super::model::{Model, ModelNode};
 use super::random::Issued;
 
 #[derive(Clone, Debug)]
-#[expect(clippy::enum_variant_names, reason = "named as the calls")]
 pub(crate) enum Edit {
     Add(NodeKey, CoreSource),
     Remove(NodeKey),
