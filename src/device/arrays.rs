@@ -155,6 +155,7 @@ impl<T: Pod> DeviceBuffer<T> {
             self.data = bytemuck::zeroed_vec(len);
         }
         self.data.resize(len, T::zeroed());
+        // One range of everything replaces those marked before.
         self.dirty_ranges.clear();
         if len > 0 {
             self.mark_dirty(0..len);
@@ -170,6 +171,7 @@ impl<T: Pod> DeviceBuffer<T> {
     /// Drops all elements from index `len` on.
     pub fn truncate(&mut self, len: usize) {
         self.data.truncate(len);
+        // Give memory back once less than a quarter of it is used.
         if self.data.capacity() > 4 * len {
             self.data.shrink_to(2 * len);
         }
@@ -194,6 +196,7 @@ impl<T: Pod> DeviceBuffer<T> {
 
     /// Marks a range as changed. O(1): ranges are sorted and merged when they are taken.
     pub(crate) fn mark_dirty(&mut self, range: Range<usize>) {
+        // Extend the last range if the new one touches it: consecutive writes then make one range.
         match self.dirty_ranges.last_mut() {
             Some(last) if range.start <= last.end && range.end >= last.start => {
                 *last = last.start.min(range.start)..last.end.max(range.end);

@@ -99,8 +99,10 @@ impl<'a> AccessorData<'a> {
         let error = |fault: AccessorFault| document.error_at(format!("/accessors/{index}"), fault);
         let count = usize::try_from(accessor.count.0).map_err(|_| error(AccessorFault::CountTooLarge))?;
         let mut elements = Self { index, count, format: Format::of(accessor), data: Data::Zero, sparse: None };
+        // The size of an unknown format is not known, so nothing is checked here; reading such an accessor is an error.
         let Some(format) = elements.format else { return Ok(elements) };
 
+        // Check that the elements lie within their buffer view, and find their bytes.
         if let Some(view) = accessor.buffer_view {
             let view = view.value();
             let stride = document.views[view].byte_stride.map_or(format.stride(), |s| s.0);
@@ -143,6 +145,7 @@ impl<'a> AccessorData<'a> {
         let index_size = component.size();
         check_extent(document, indices, index_offset, count, index_size, index_size).map_err(error)?;
         check_extent(document, values, value_offset, count, format.stride(), format.size()).map_err(error)?;
+        // Without the data of both, the whole accessor cannot be read.
         if !buffers.has_data(document, indices) || !buffers.has_data(document, values) {
             self.data = Data::Missing;
             return Ok(());
@@ -206,13 +209,16 @@ impl<'a> AccessorData<'a> {
     where
         T: Pod + From<[f32; N]>,
     {
+        // Check that there is data, of `N` components for each element.
         let format = self.checked_format::<N>(document)?;
         let (bytes, shorts) = (f32::from(u8::MAX), f32::from(u16::MAX));
         let (signed_bytes, signed_shorts) = (f32::from(i8::MAX), f32::from(i16::MAX));
+        // Decode by component type. Normalized integers are divided by the largest value of their type.
         let out = match (format.component, format.normalized) {
             (Component::F32, _) => self.gather(selection, f32::from_le_bytes),
             (Component::U8, true) => self.gather(selection, |[b]: [u8; 1]| f32::from(b) / bytes),
             (Component::U8, false) => self.gather(selection, |[b]: [u8; 1]| f32::from(b)),
+            // The smallest signed integer would become less than -1.
             (Component::I8, true) => {
                 self.gather(selection, |b| (f32::from(i8::from_le_bytes(b)) / signed_bytes).max(-1.0))
             }
@@ -223,6 +229,7 @@ impl<'a> AccessorData<'a> {
                 self.gather(selection, |b| (f32::from(i16::from_le_bytes(b)) / signed_shorts).max(-1.0))
             }
             (Component::I16, false) => self.gather(selection, |b| f32::from(i16::from_le_bytes(b))),
+            // glTF has unsigned ints as vertex indices only.
             (Component::U32, _) => return Err(self.error(document, AccessorFault::IntegerCoordinates)),
         };
         self.check_finite::<T, N>(document, selection, &out)?;
@@ -282,6 +289,7 @@ impl<'a> AccessorData<'a> {
         // 2. Substitute the sparse elements that are selected.
         if let Some(sparse) = &self.sparse {
             for (&i, value) in sparse.indices.iter().zip(sparse.values.chunks(N * S)) {
+                // Find the element's position in the result; there is none if it is not selected.
                 let position = match selection {
                     Selection::All => Ok(i as usize),
                     Selection::Indices(indices) => indices.binary_search(&i),
@@ -304,6 +312,7 @@ impl<'a> AccessorData<'a> {
 
     fn check_finite<T: Pod, const N: usize>(&self, document: &Document, selection: Selection, out: &[T]) -> Result<()> {
         let Some(i) = bytemuck::cast_slice::<T, f32>(out).iter().position(|x| !x.is_finite()) else { return Ok(()) };
+        // The message names the element by its index in the accessor, not in the selection.
         let element = match selection {
             Selection::All => i / N,
             Selection::Indices(indices) => indices[i / N] as usize,
@@ -332,11 +341,14 @@ fn check_extent(
     size: usize,
 ) -> Result<(), AccessorFault> {
     let available = document.views[view].byte_length.0;
+    // Elements may not overlap.
     if stride < size {
         return Err(AccessorFault::StrideTooSmall { view, stride, size });
     }
+    // Compute the length in bytes: a stride for each element but the last, of which only the size counts.
     let length =
         count.checked_sub(1).map_or(Some(0), |n| (n as u64).checked_mul(stride as u64)?.checked_add(size as u64));
+    // Compare the end of the last element with that of the view.
     match length.and_then(|length| offset.checked_add(length)) {
         Some(end) if end <= available => Ok(()),
         _ => Err(AccessorFault::OutOfRange { count, size, stride, offset, available, view }),

@@ -31,6 +31,7 @@ impl<'a> Buffers<'a> {
             };
             let target = uri::resolve(uri, document.path)
                 .map_err(|fault| document.error_at(format!("/buffers/{i}"), BufferFault::Uri(fault)))?;
+            // Read as many bytes as the longest of the buffers with this target declares.
             let (first, length) = needed.entry(target).or_insert((i, 0));
             *length = buffer.byte_length.0.max(*length);
             buffers.canonical_buffer.push(*first);
@@ -39,6 +40,7 @@ impl<'a> Buffers<'a> {
         // 2. Read each target once. A buffer may have no data: extensions use it as a placeholder for what they
         //    decompress.
         buffers.data.resize(document.buffers.len(), None);
+        // A first buffer without a URI is the binary chunk of a GLB file.
         if let Some(data) = buffers.data.first_mut().filter(|_| document.buffers[0].uri.is_none()) {
             *data = bin.map(Cow::Borrowed);
         }
@@ -70,6 +72,7 @@ impl<'a> Buffers<'a> {
     fn check_view(&self, document: &Document, index: usize) -> Result<()> {
         let view = &document.views[index];
         let (offset, length) = (view.byte_offset.map_or(0, |o| o.0), view.byte_length.0);
+        // The declared length counts, even if there is more data.
         let available = document.buffers[view.buffer.value()].byte_length.0;
         if offset.checked_add(length).is_some_and(|end| end <= available) {
             return Ok(());

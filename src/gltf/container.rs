@@ -23,8 +23,10 @@ pub(super) struct Container<'a> {
 impl<'a> Container<'a> {
     /// Splits a file into its parts. GLB is detected by its magic number, not by the file extension. O(chunks).
     pub(super) fn parse(bytes: &'a [u8], path: &Path) -> Result<Self> {
+        // Split a GLB file into its chunks; any other file is JSON as a whole.
         let parts = if bytes.starts_with(MAGIC) { Self::parse_glb(bytes) } else { Ok(Self { json: bytes, bin: None }) };
         let mut parts = parts.map_err(|cause| error_at(path, "", cause))?;
+        // Drop a byte order mark: glTF forbids it, but it does no harm.
         parts.json = parts.json.strip_prefix(BYTE_ORDER_MARK).unwrap_or(parts.json);
         if parts.json.is_empty() {
             return Err(error_at(path, "", ContainerFault::NoJson));

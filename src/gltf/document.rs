@@ -121,6 +121,7 @@ fn schema_error(path: &Path, pointer: impl Into<String>, error: &serde_json::Err
 /// Rewrites whole numbers written as "1.0" or "1e0" as integers, since serde reads an integer from "1" only; and drops
 /// the application's own `extras`, which may be of any type, while the crate's types require objects.
 fn normalize_numbers_and_drop_extras(root: &mut Value) {
+    // Up to 2^53 every whole number is exact in f64.
     const LARGEST_EXACT: f64 = (1_u64 << f64::MANTISSA_DIGITS) as f64;
     let mut pending = vec![root];
     while let Some(value) = pending.pop() {
@@ -130,6 +131,7 @@ fn normalize_numbers_and_drop_extras(root: &mut Value) {
                 members.remove("extras");
                 pending.extend(members.values_mut());
             }
+            // Rewrite a number that was not written as an integer but has a whole value.
             Value::Number(number) if number.is_f64() => {
                 if let Some(x) = number.as_f64().filter(|x| x.fract() == 0.0 && x.abs() <= LARGEST_EXACT) {
                     *number = if x < 0.0 { Number::from(x as i64) } else { Number::from(x as u64) };
@@ -151,12 +153,14 @@ fn add_empty_lists(root: &mut Value) {
 /// Only the major version matters, since minor versions are backward compatible, unless `minVersion` requires a newer
 /// one.
 fn check_version(root: &Value, path: &Path) -> Result<()> {
+    // The version must be 2.x.
     let Some(Value::String(version)) = root.pointer("/asset/version") else {
         return Err(error_at(path, "/asset", GltfFault::NoVersion));
     };
     if !matches!(parse_version(version), Some((2, _))) {
         return Err(error_at(path, "/asset/version", GltfFault::Version { found: version.clone() }));
     }
+    // The least version that can read the file, if it is given, must be 2.0 or lower.
     match root.pointer("/asset/minVersion") {
         None => Ok(()),
         Some(least) if least.as_str().and_then(parse_version).is_some_and(|least| least <= (2, 0)) => Ok(()),
@@ -195,6 +199,7 @@ fn transform(node: &Value) -> Result<Transform, TransformFault> {
     let rotation = numbers::<4>(node, "rotation")?;
     let scale = numbers::<3>(node, "scale")?;
 
+    // Without a matrix, the node has translation, rotation and scale, each with the identity as default.
     let Some(matrix) = numbers::<16>(node, "matrix")? else {
         let rotation = match rotation {
             None => DQuat::IDENTITY,
@@ -206,9 +211,11 @@ fn transform(node: &Value) -> Result<Transform, TransformFault> {
             scale: scale.map_or(DVec3::ONE, DVec3::from),
         });
     };
+    // A node with a matrix must not have any of the three.
     if translation.is_some() || rotation.is_some() || scale.is_some() {
         return Err(TransformFault::MatrixAndTrs);
     }
+    // Read the matrix, column by column. Its last row must be that of an affine map.
     let column = |i: usize| DVec3::new(matrix[4 * i], matrix[4 * i + 1], matrix[4 * i + 2]);
     if [matrix[3], matrix[7], matrix[11], matrix[15]] != [0.0, 0.0, 0.0, 1.0] {
         return Err(TransformFault::NotAffine);

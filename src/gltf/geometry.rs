@@ -51,16 +51,19 @@ impl GeometrySource {
         primitive: &json::mesh::Primitive,
         pointer: &str,
     ) -> Result<Result<Self, SkipReason>> {
+        // Find how vertices form triangles; points and lines are not drawn.
         let Valid(mode) = primitive.mode else {
             return Err(document.error_at(format!("{pointer}/mode"), GltfFault::UnknownMode));
         };
         let Some(topology) = Topology::of(mode) else { return Ok(Err(SkipReason::NotTriangles(mode_name(mode)))) };
+        // Find the positions, without which nothing can be drawn, and check that no data is missing.
         let attribute =
             |semantic| primitive.attributes.get(&Valid(semantic)).map(|index| canonical_accessor[index.value()]);
         let Some(positions) = attribute(Semantic::Positions) else { return Ok(Err(SkipReason::NoPositions)) };
         if !all_accessors(primitive).all(|index| accessors.get(index).has_data()) {
             return Ok(Err(SkipReason::NoData));
         }
+        // Refer to every attribute by its canonical accessor, so that equal primitives have equal sources.
         let source = Self {
             topology,
             indices: primitive.indices.map(|index| canonical_accessor[index.value()]),
@@ -70,6 +73,7 @@ impl GeometrySource {
             colors: attribute(Semantic::Colors(0)),
             pose: Pose::default(),
         };
+        // Check formats and lengths.
         source.check_formats(document, accessors)?;
         source.check_counts(document, accessors, pointer)?;
         Ok(if source.triangle_count(accessors) == 0 { Err(SkipReason::NoTriangles) } else { Ok(source) })
@@ -121,7 +125,9 @@ impl GeometrySource {
         let at = || pointer.to_owned();
 
         budget.charge(index_count, size_of::<u32>(), document, at)?;
+        // Triangles are held twice: as built, and as kept.
         budget.charge(self.triangle_count(accessors), triangle_size, document, at)?;
+        // Only used vertices are read: no more than there are indices.
         budget.charge(vertex_count.min(index_count), self.bytes_per_vertex(), document, at)?;
         // The bits and ranks of `compact_vertices`: 12 bytes for 64 vertices.
         budget.charge(vertex_count / 4, 1, document, at)
@@ -196,10 +202,12 @@ impl GeometrySource {
         };
         let indices: Vec<[u32; 1]> = accessors.get(accessor).integers(document, Selection::All)?;
         let indices: Vec<u32> = bytemuck::cast_vec(indices);
+        // Check that every index is that of a vertex.
         if let Some(i) = indices.iter().position(|&index| index as usize >= vertex_count) {
             let fault = AccessorFault::VertexIndexOutOfRange { position: i, index: indices[i], vertex_count };
             return Err(document.error_at(format!("/accessors/{accessor}"), fault));
         }
+        // The largest index of the type is forbidden: graphics APIs take it as a primitive restart.
         let restart = accessors.get(accessor).largest_integer();
         if let Some(i) = indices.iter().position(|&index| Some(index) == restart) {
             let fault = AccessorFault::PrimitiveRestart { position: i, index: indices[i] };
@@ -236,10 +244,12 @@ impl GeometrySource {
 
     fn check_counts(&self, document: &Document, accessors: &Accessors, pointer: &str) -> Result<()> {
         let vertex_count = accessors.get(self.positions).count;
+        // Every attribute has one element for each vertex.
         let streams = [self.normals, self.tex_coords[0], self.tex_coords[1], self.colors];
         for index in streams.into_iter().flatten() {
             check_vertex_count(document, accessors, index, vertex_count, pointer)?;
         }
+        // Vertices are numbered by u32, and the triangles of a geometry are limited.
         if u32::try_from(vertex_count).is_err() || self.triangle_count(accessors) > Geometry::MAX_TRIANGLES {
             let fault = PrimitiveFault::TooLarge { max_triangles: Geometry::MAX_TRIANGLES };
             return Err(document.error_at(pointer, fault));
@@ -273,6 +283,7 @@ pub(super) fn check_vertex_count(
 fn read_colors(document: &Document, accessors: &Accessors, index: usize, selection: Selection) -> Result<Vec<Vec4>> {
     let elements = accessors.get(index);
     let format = elements.require_format(document, "COLOR_0", "VEC3 or VEC4", |f| f.is_vector(3) || f.is_vector(4))?;
+    // Read the colours, and give those without alpha an alpha of 1.
     let mut colors: Vec<Vec4> = if format.is_vector(4) {
         elements.floats(document, selection)?
     } else {

@@ -22,6 +22,7 @@ impl ImportPlan {
     /// [`Error::StaleKey`](crate::Error::StaleKey) for the parent; everything else was checked by the plan. Whatever
     /// the error, everything that was added is removed again.
     pub(super) fn insert(mut self, document: &Document, scene: &mut Scene, parent: NodeKey) -> Result<ImportReport> {
+        // Add everything below one root, so that a failed import can remove all nodes at once.
         let root = scene.add(parent, Transform::IDENTITY)?;
         let mut added = AddedAssets::default();
         match self.insert_below(document, scene, root, &mut added) {
@@ -63,8 +64,10 @@ impl ImportPlan {
                     }
                 },
             };
+            // Add the node below its parent, which was added before it.
             let key = scene.add(node.parent.map_or(root, |parent| keys[parent]), source)?;
             keys.push(key);
+            // Keep the key of the core for the other nodes that share it.
             if let NodeContent::Core(core) = node.content {
                 cores[core] = Some(scene.core_key(key)?);
             }
@@ -92,6 +95,7 @@ impl ImportPlan {
     }
 
     fn empty_report(&mut self, document: &Document, root: NodeKey) -> ImportReport {
+        // Count the assets while the plan still has them; the root counts as a node too.
         let mut counts = self.counts;
         counts.nodes = self.nodes.len() + 1;
         counts.geometries = self.geometries.len();
@@ -111,18 +115,21 @@ impl ImportPlan {
     }
 
     fn record(&self, node: &PlannedNode, key: NodeKey, report: &mut ImportReport) {
+        // Record a node of the file by its index and its name. The first node of a name keeps it.
         if let Some(file_node) = node.file_node {
             report.nodes[file_node] = Some(key);
             if !node.name.is_empty() {
                 report.names.entry(node.name.clone()).or_insert(key);
             }
         }
+        // List cameras and lights.
         let NodeContent::Core(core) = node.content else { return };
         let (list, index) = match self.cores[core] {
             PlannedCore::Camera(_, index) => (&mut report.cameras, index),
             PlannedCore::Light(_, index) => (&mut report.lights, index),
             PlannedCore::Geometry { .. } => return,
         };
+        // One without a name of its own has that of its node in the file, which is its parent.
         let parent_name = || node.parent.map(|parent| self.nodes[parent].name.clone()).unwrap_or_default();
         let name = if node.name.is_empty() { parent_name() } else { node.name.clone() };
         list.push(ImportedNode { name, index, node: key });

@@ -31,6 +31,7 @@ pub(super) fn transforms(
     for (name, index) in attributes {
         let index = index.as_u64().unwrap_or_default() as usize;
         let elements = accessors.get(index);
+        // All attributes must have the same number of elements.
         if *count.get_or_insert(elements.count) != elements.count {
             return Err(document.error_at(pointer, InstancingFault::DifferentCounts));
         }
@@ -38,6 +39,7 @@ pub(super) fn transforms(
             ("VEC3 of floats", |f| f.is_vector(3) && f.component == Component::F32);
         let vec4: (&'static str, fn(Format) -> bool) =
             ("VEC4 of floats, or of normalized bytes or shorts", |f| f.is_vector(4) && f.is_float_or_normalized());
+        // Find the attribute by its name; others than these three are ignored.
         let (attribute, role, (expected, accepts)) = match name.as_str() {
             "TRANSLATION" => (&mut translations, "TRANSLATION", vec3),
             "ROTATION" => (&mut rotations, "ROTATION", vec4),
@@ -54,6 +56,7 @@ pub(super) fn transforms(
 
     // 2. Read them.
     let count = count.unwrap_or_default();
+    // Charge for the attributes and for the transforms made of them.
     let size = 2 * size_of::<Vec3>() + size_of::<Vec4>() + size_of::<Transform>();
     budget.charge(count, size, document, || pointer.clone())?;
     let read_vec3 =
@@ -64,6 +67,7 @@ pub(super) fn transforms(
     // 3. Make a transform of each instance; an attribute that is missing is the identity.
     let mut transforms = Vec::with_capacity(count);
     for i in 0..count {
+        // Normalize rotations: those read from integers have a length of only about 1.
         let rotation = match rotations.as_ref().map(|r| r[i].as_dvec4().try_normalize()) {
             None => DQuat::IDENTITY,
             Some(Some(q)) => DQuat::from_vec4(q),

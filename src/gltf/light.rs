@@ -16,6 +16,7 @@ use crate::graph::{Light, LightKind};
 pub(super) fn convert(document: &Document, index: usize, warnings: &mut Warnings) -> Result<Option<Light>> {
     let light = &document.lights[index];
     let pointer = format!("/extensions/KHR_lights_punctual/lights/{index}");
+    // Find the kind of light.
     let kind = match light.type_ {
         Valid(Type::Directional) => LightKind::Directional,
         Valid(Type::Point) => LightKind::Point,
@@ -25,6 +26,7 @@ pub(super) fn convert(document: &Document, index: usize, warnings: &mut Warnings
             return Ok(None);
         }
     };
+    // Replace values below 0 by 0, and refuse those that are not finite.
     let mut at_least_zero = |what: &'static str, value: f32| {
         if !value.is_finite() {
             return Err(document.error_at(&*pointer, GltfFault::NotFinite { what }));
@@ -38,6 +40,7 @@ pub(super) fn convert(document: &Document, index: usize, warnings: &mut Warnings
     let [r, g, b] = light.color;
     let color = Vec3::new(at_least_zero("color", r)?, at_least_zero("color", g)?, at_least_zero("color", b)?);
     let intensity = at_least_zero("intensity", light.intensity)?;
+    // A range of 0 is taken as none.
     let range = match light.range {
         // A directional light has no position, so its range has no meaning.
         Some(range) if kind != LightKind::Directional => match at_least_zero("range", range)? {
@@ -46,6 +49,7 @@ pub(super) fn convert(document: &Document, index: usize, warnings: &mut Warnings
         },
         _ => None,
     };
+    // Limit the intensity, so that its product with the colour is finite.
     let brightest = color.max_element();
     let intensity = if (brightest * intensity).is_finite() {
         intensity
@@ -66,6 +70,7 @@ fn spot(
     warnings: &mut Warnings,
 ) -> Result<LightKind> {
     let Some(spot) = spot else { return Err(document.error_at(pointer, GltfFault::NoProperties)) };
+    // Check that both angles are finite, and the outer one above 0.
     let (inner, outer) = (spot.inner_cone_angle, spot.outer_cone_angle);
     if !inner.is_finite() {
         return Err(document.error_at(pointer, GltfFault::NotFinite { what: "innerConeAngle" }));
@@ -74,6 +79,7 @@ fn spot(
         let (what, expected) = ("outerConeAngle", "finite and above 0");
         return Err(document.error_at(pointer, GltfFault::OutOfRange { what, value: outer, expected }));
     }
+    // Limit the outer angle to 90 degrees, and the inner one to the outer.
     let outer_cone_angle = outer.min(FRAC_PI_2);
     let inner_cone_angle = inner.clamp(0.0, outer_cone_angle);
     if (inner_cone_angle, outer_cone_angle) != (inner, outer) {

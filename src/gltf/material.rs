@@ -100,6 +100,7 @@ impl<'d> MaterialConverter<'_, 'd> {
         for value in emissive.as_mut() {
             *value = number("emissiveFactor", *value, UNIT)?;
         }
+        // Read the extensions' factors, each with the default of the specification.
         let extensions = material.extensions.as_ref();
         let strength = extensions.and_then(|e| e.emissive_strength.as_ref()).map_or(1.0, |s| s.emissive_strength.0);
         let strength = number("emissiveStrength", strength, POSITIVE)?;
@@ -166,6 +167,7 @@ impl<'d> MaterialConverter<'_, 'd> {
         tex_coord: u32,
         transform: Option<&json::extensions::texture::TextureTransform>,
     ) -> Result<Option<PlannedTexture>> {
+        // The transform's set of texture coordinates takes precedence over the texture's own.
         let tex_coord = transform.and_then(|t| t.tex_coord).unwrap_or(tex_coord);
         if tex_coord >= 2 {
             let feature = format!("texture coordinate set {tex_coord}");
@@ -173,11 +175,13 @@ impl<'d> MaterialConverter<'_, 'd> {
             self.warnings.add(self.document, WarningKind::Feature, feature, pointer, fallback);
             return Ok(None);
         }
+        // Convert the transform, and check that it did not overflow.
         let transform = transform.map_or(Affine2::IDENTITY, to_affine);
         if !transform.is_finite() {
             return Err(self.document.error_at(pointer, GltfFault::NotFinite { what: "a texture transform" }));
         }
         let sampler = self.document.textures[texture].sampler.map(|s| &self.document.samplers[s.value()]);
+        // Request the image. Textures with equal images and other samplers share it.
         let image = self.images.request(self.document, texture, self.warnings);
         let sampler = sampler.map_or_else(Sampler::default, to_sampler);
         Ok(Some(PlannedTexture { image, sampler, tex_coord, transform }))
@@ -209,6 +213,7 @@ fn to_sampler(sampler: &json::texture::Sampler) -> Sampler {
         Valid(WrappingMode::MirroredRepeat) => WrapMode::Mirror,
         Valid(WrappingMode::Repeat) | Invalid => WrapMode::Repeat,
     };
+    // There are no mipmaps, so the magnification filter is used at any distance.
     let filter = match sampler.mag_filter {
         Some(Valid(MagFilter::Nearest)) => FilterMode::Nearest,
         _ => FilterMode::Linear,

@@ -159,10 +159,12 @@ pub fn import_from_slice(
     scene: &mut Scene,
     parent: NodeKey,
 ) -> Result<ImportReport> {
+    // Split the file into its parts, check the JSON, and read the buffers.
     let container = Container::parse(bytes, path)?;
     let document = Document::parse(container.json, path)?;
     let buffers = Buffers::load(&document, container.bin)?;
     let bytes_read = bytes.len() as u64 + buffers.external_bytes;
+    // Plan the whole import before the scene is changed.
     ImportPlan::new(&document, &buffers, options, bytes_read)?.insert(&document, scene, parent)
 }
 

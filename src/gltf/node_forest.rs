@@ -54,6 +54,7 @@ impl NodeForest {
     /// The matrix from each node's space to the space of the scene. O(nodes).
     pub(super) fn scene_from_node(&self, transforms: &[Transform]) -> Vec<DAffine3> {
         let mut world = vec![DAffine3::IDENTITY; transforms.len()];
+        // Parents come first, so that their matrices are known.
         for &i in &self.order {
             let local = transforms[i].to_affine();
             world[i] = self.parents[i].map_or(local, |parent| world[parent] * local);
@@ -68,6 +69,7 @@ pub(super) fn children(node: &json::Node) -> impl DoubleEndedIterator<Item = usi
 }
 
 fn topological_order(nodes: &[json::Node], parents: &[Option<usize>]) -> Vec<usize> {
+    // Begin with the roots, and append the children of each node in turn.
     let mut order: Vec<usize> = (0..nodes.len()).filter(|&i| parents[i].is_none()).collect();
     let mut next = 0;
     while let Some(&i) = order.get(next) {
@@ -78,6 +80,7 @@ fn topological_order(nodes: &[json::Node], parents: &[Option<usize>]) -> Vec<usi
 }
 
 fn check_scenes(scenes: &[json::Scene], parents: &[Option<usize>], path: &Path) -> Result<()> {
+    // The last scene that listed each node tells whether a scene lists a node twice.
     let mut last_scene = vec![None; parents.len()];
     for (s, scene) in scenes.iter().enumerate() {
         for (k, node) in scene.nodes.iter().map(json::Index::value).enumerate() {

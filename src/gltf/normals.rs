@@ -25,6 +25,7 @@ pub(super) fn normalize(normals: &mut [Vec3], positions: &[Vec3], triangles: &[[
     for triangle in triangles {
         let [a, b, c] = triangle.map(|vertex| positions[vertex as usize].as_dvec3());
         for vertex in triangle {
+            // The length of the cross product is twice the area: this is the weight.
             sums[*vertex as usize] += (b - a).cross(c - a);
         }
     }

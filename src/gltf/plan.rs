@@ -139,6 +139,7 @@ impl ImportPlan {
 fn choose_scene(document: &Document, options: &ImportOptions) -> Result<Option<usize>> {
     let count = document.scenes.len();
     match &options.scene {
+        // A scene that was asked for must exist.
         Some(SceneSelector::Index(index)) if *index < count => Ok(Some(*index)),
         Some(SceneSelector::Index(index)) => {
             Err(document.error_at("/scenes", GltfFault::NoSceneIndex { index: *index, count }))
@@ -151,6 +152,7 @@ fn choose_scene(document: &Document, options: &ImportOptions) -> Result<Option<u
             };
             found.map(Some).ok_or_else(missing)
         }
+        // None was asked for: use the default scene, else the first.
         None => {
             let default = document.value.get("scene").and_then(Value::as_u64).map(|scene| scene as usize);
             Ok(default.or((count > 0).then_some(0)))
@@ -182,10 +184,12 @@ struct Planner<'a, 'd> {
 impl Planner<'_, '_> {
     /// Plans the nodes of a glTF scene, in preorder.
     fn plan_nodes(&mut self, scene: Option<usize>) -> Result<()> {
+        // Begin at the roots of the scene, or at all roots if the file has no scene.
         let roots = match scene {
             Some(scene) => self.document.scenes[scene].nodes.iter().map(Index::value).collect(),
             None => self.document.hierarchy.roots(),
         };
+        // Keep the nodes to be planned on a stack, in reverse, so that siblings keep their order.
         let mut pending: Vec<(usize, Option<usize>)> = roots.into_iter().rev().map(|node| (node, None)).collect();
         while let Some((node, parent)) = pending.pop() {
             let planned_node = self.plan_node(node, parent)?;
@@ -199,15 +203,18 @@ impl Planner<'_, '_> {
         let document = self.document;
         let source = &document.nodes[node];
         let transform = document.transforms[node];
+        // The numbers of the file are finite, but the products in a matrix can overflow.
         if !transform.to_affine().is_finite() {
             return Err(document.error_at(format!("/nodes/{node}"), GltfFault::NotFinite { what: "its transform" }));
         }
+        // Add the node with its transform.
         let name = source.name.as_deref().unwrap_or_default();
         let planned_node = self.add_node(node, parent, name, NodeContent::Transform(transform))?;
         self.nodes[planned_node].file_node = Some(node);
         self.nodes[planned_node].visible = is_visible(document, node);
         self.counts.file_nodes += 1;
 
+        // Add mesh, camera and light as its children.
         if let Some(mesh) = source.mesh {
             self.plan_mesh(node, mesh.value(), planned_node)?;
         }
@@ -223,6 +230,7 @@ impl Planner<'_, '_> {
     /// Plans the primitives of a node's mesh: once, or once for each instance.
     fn plan_mesh(&mut self, node: usize, mesh: usize, planned_node: usize) -> Result<()> {
         let document = self.document;
+        // Request the mesh's geometries, in the rest pose of this node.
         let uses = self.primitives.request(
             document,
             self.accessors,
@@ -231,20 +239,24 @@ impl Planner<'_, '_> {
             (node, mesh),
             &mut self.warnings,
         )?;
+        // Find or plan the core of each primitive.
         let cores =
             uses.iter().map(|primitive_use| self.geometry_core(mesh, primitive_use)).collect::<Result<Vec<_>>>()?;
         let triangles: u64 = uses.iter().map(|primitive_use| primitive_use.triangle_count as u64).sum();
         self.mesh_triangles.insert(mesh, triangles);
 
+        // Read the transforms of the instances, if there are any.
         let instances = instancing::transforms(document, self.accessors, &mut self.budget, node, &mut self.warnings)?;
         let name = document.meshes[mesh].name.as_deref().unwrap_or_default();
         match instances {
+            // Without instances, the primitives are children of the node.
             None => {
                 self.counts.scene_triangles += triangles;
                 cores.into_iter().try_for_each(|core| {
                     self.add_node(node, Some(planned_node), name, NodeContent::Core(core)).map(drop)
                 })
             }
+            // With instances, each is a node for its transform, and below it are nodes with the shared cores.
             Some(instances) => {
                 self.counts.scene_triangles += triangles * instances.len() as u64;
                 for transform in instances {
@@ -265,6 +277,7 @@ impl Planner<'_, '_> {
         if let Some(&core) = self.core_indices.get(&identity) {
             return Ok(core);
         }
+        // Plan the primitive's material, and warn of what it needs and the primitive lacks.
         let source = &self.document.meshes[mesh].primitives[primitive];
         let material = self.material(source.material.as_ref().map(Index::value))?;
         self.warn_of_missing_attributes(mesh, primitive_use, material);
@@ -294,12 +307,14 @@ impl Planner<'_, '_> {
         let material = &self.materials[material];
         let pointer = format!("/meshes/{mesh}/primitives/{}", primitive_use.primitive);
         let attributes = &self.document.meshes[mesh].primitives[primitive_use.primitive].attributes;
+        // Warn if a texture uses a set of texture coordinates that the primitive does not have.
         let missing =
             material.tex_coords_needed().iter().zip(primitive_use.has_tex_coords).any(|(need, has)| *need && !has);
         if missing {
             let fallback = "its material's textures need them: the texel at (0, 0) is used";
             self.warnings.add(self.document, WarningKind::Data, "missing texture coordinates", &*pointer, fallback);
         }
+        // Warn if a normal texture was made for tangents of the file.
         if material.has_normal_texture() && attributes.contains_key(&Valid(Semantic::Tangents)) {
             let fallback = "not used: tangents follow from the texture coordinates";
             self.warnings.add(self.document, WarningKind::Feature, "TANGENT", &*pointer, fallback);
@@ -308,6 +323,7 @@ impl Planner<'_, '_> {
 
     fn plan_camera(&mut self, node: usize, camera: usize, planned_node: usize) -> Result<()> {
         let identity = CoreIdentity::Camera(camera);
+        // Nodes with the same camera share its core; a camera of unknown type is left out.
         let core = match self.core_indices.get(&identity) {
             Some(&core) => core,
             None => match camera::convert(self.document, camera, &mut self.warnings)? {
@@ -321,6 +337,7 @@ impl Planner<'_, '_> {
 
     fn plan_light(&mut self, node: usize, light: usize, planned_node: usize) -> Result<()> {
         let identity = CoreIdentity::Light(light);
+        // Nodes with the same light share its core; a light of unknown type is left out.
         let core = match self.core_indices.get(&identity) {
             Some(&core) => core,
             None => match light::convert(self.document, light, &mut self.warnings)? {

@@ -68,10 +68,12 @@ impl Pose {
         // 2. The sets of joints and weights.
         let attribute =
             |semantic| primitive.attributes.get(&Valid(semantic)).map(|index| canonical_accessor[index.value()]);
+        // A set has both joints and weights; the first number without both ends the list.
         let set = |n| Some((attribute(Semantic::Joints(n))?, attribute(Semantic::Weights(n))?));
         let sets: Vec<_> = (0..).map_while(set).collect();
         let skin = palette.filter(|_| !sets.is_empty()).map(|palette| Skin { palette, sets });
 
+        // Check the formats and lengths of all these accessors.
         let pose = Self { morphs, skin };
         pose.check(document, accessors, positions, pointer)?;
         Ok(pose)
@@ -98,6 +100,7 @@ impl Pose {
         positions: &mut [Vec3],
         mut normals: Option<&mut [Vec3]>,
     ) -> Result<bool> {
+        // Add the weighted displacements of the morph targets.
         for morph in &self.morphs {
             let weight = f32::from_bits(morph.weight);
             add_deltas(document, accessors, selection, morph.positions, weight, positions)?;
@@ -105,9 +108,11 @@ impl Pose {
                 add_deltas(document, accessors, selection, morph.normals, weight, normals)?;
             }
         }
+        // Move the result with the joints.
         if let Some(skin) = &self.skin {
             skin.apply(document, accessors, &palettes[skin.palette], selection, positions, normals)?;
         }
+        // Large weights, displacements and matrices can overflow.
         Ok(positions.iter().all(|p| p.is_finite()))
     }
 
@@ -117,11 +122,13 @@ impl Pose {
             accessors.get(index).require_format(document, role, expected, accepts)?;
             check_vertex_count(document, accessors, index, vertex_count, pointer)
         };
+        // Check the displacements of the morph targets, which may be quantized.
         for index in self.morphs.iter().flat_map(|morph| [morph.positions, morph.normals]).flatten() {
             require(index, "a morph target", "VEC3 of floats, bytes or shorts", |f| {
                 f.is_vector(3) && f.component != Component::U32
             })?;
         }
+        // Check the joints and weights of the skin.
         for &(joints, weights) in self.skin.iter().flat_map(|skin| &skin.sets) {
             require(joints, "JOINTS", "VEC4 of unsigned bytes or shorts", is_joints)?;
             require(weights, "WEIGHTS", "VEC4 of floats, or of normalized bytes or shorts", |f| {
@@ -153,10 +160,12 @@ impl Skin {
             let influences = sets.iter().flat_map(|(joints, weights)| {
                 joints[vertex].iter().zip(weights[vertex].to_array()).map(|(&joint, w)| (&palette[joint as usize], w))
             });
+            // A vertex without a weight above 0 stays where it is.
             let Some(matrix) = blend_joint_matrices(influences) else { continue };
             *position = matrix.transform_point3(position.as_dvec3()).as_vec3();
             if let Some(normals) = normals.as_deref_mut() {
                 let normal = cofactor(&matrix.matrix3) * normals[vertex].as_dvec3();
+                // A normal that vanishes stays zero: `normals::normalize` replaces it later.
                 normals[vertex] = normals::try_unit_vector(normal).unwrap_or(Vec3::ZERO);
             }
         }

@@ -51,6 +51,7 @@ impl PrimitiveRequests {
     ) -> Result<Self> {
         let canonical_accessor = accessors.canonical_indices(document, buffers);
         let mut sources = Vec::with_capacity(document.meshes.len());
+        // Find the source of every primitive's geometry, and warn of primitives that are not drawn.
         for (m, mesh) in document.meshes.iter().enumerate() {
             let mut mesh_sources = Vec::with_capacity(mesh.primitives.len());
             for (p, primitive) in mesh.primitives.iter().enumerate() {
@@ -106,6 +107,7 @@ impl PrimitiveRequests {
             let positions = (source.positions(), &*pointer);
             let pose =
                 Pose::new(document, accessors, &self.canonical_accessor, primitive, (weights, palette), positions)?;
+            // A skin has no effect on a mesh without joints and weights.
             if document.nodes[node].skin.is_some() && !pose.is_skinned() {
                 let fallback = "not applied: the mesh has no JOINTS and WEIGHTS attributes";
                 warnings.add(document, WarningKind::Data, "skin", format!("/nodes/{node}"), fallback);
@@ -117,6 +119,7 @@ impl PrimitiveRequests {
             let geometry = match self.requested_index.get(&source) {
                 Some(&index) => index,
                 None => {
+                    // Charge now for what building it will allocate.
                     source.charge(document, accessors, budget, &pointer)?;
                     self.requested_index.insert(source.clone(), self.requested.len());
                     self.requested.push((source, pointer));
@@ -185,6 +188,7 @@ fn check_all_joints(
 ) -> Result<()> {
     let skinned = |node: &json::Node| Some((node.mesh?.value(), document.skins[node.skin?.value()].joints.len()));
     let skinned: HashSet<(usize, usize)> = document.nodes.iter().filter_map(skinned).collect();
+    // Check each accessor of joints once for each number of joints that a skin has.
     let mut checked = HashSet::new();
     for (mesh, joint_count) in skinned {
         for primitive in &document.meshes[mesh].primitives {

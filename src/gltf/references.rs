@@ -100,7 +100,9 @@ fn visit(
     pointer: &mut String,
     found: &mut impl FnMut(&str, &Value) -> Result<()>,
 ) -> Result<()> {
+    // At the end of the pattern this is a match.
     let Some((part, rest)) = pattern.split_first() else { return found(pointer, value) };
+    // Match the rest of the pattern in a child, whose key is on the pointer meanwhile.
     let mut descend = |key: &str, child: &Value| {
         let length = pointer.len();
         push_key(pointer, key);
@@ -108,6 +110,7 @@ fn visit(
         pointer.truncate(length);
         result
     };
+    // `*` leads to every child, any other part to the member of that name, if there is one.
     match (value, *part) {
         (Value::Array(elements), "*") => {
             elements.iter().enumerate().try_for_each(|(i, child)| descend(&i.to_string(), child))

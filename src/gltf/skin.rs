@@ -54,6 +54,7 @@ pub(super) fn palette(
 fn inverse_bind_matrices(document: &Document, accessors: &Accessors, skin: usize) -> Result<Option<Vec<DAffine3>>> {
     let skin_object = &document.skins[skin];
     let Some(index) = skin_object.inverse_bind_matrices else { return Ok(None) };
+    // Check the format, and that there is a matrix for each joint.
     let elements = accessors.get(index.value());
     elements.require_format(document, "inverseBindMatrices", "MAT4 of floats", |format| {
         format.shape == Shape::Matrix(4) && format.component == Component::F32
@@ -63,6 +64,7 @@ fn inverse_bind_matrices(document: &Document, accessors: &Accessors, skin: usize
         let fault = SkinFault::TooFewMatrices { joints: joint_count, matrices: elements.count };
         return Err(document.error_at(format!("/skins/{skin}"), fault));
     }
+    // Read only as many as there are joints: an accessor may have more.
     let first: Vec<u32> = (0..joint_count as u32).collect();
     let matrices: Vec<[f32; 16]> = elements.floats(document, Selection::Indices(&first))?;
     let affine = |m: &[f32; 16]| DAffine3::from_mat4(DMat4::from_cols_array(&m.map(f64::from)));

@@ -87,6 +87,7 @@ impl<'d> ImageRequests<'d> {
     /// Requests the image of a glTF texture; returns the index that its texture will have.
     pub(super) fn request(&mut self, document: &'d Document, texture: usize, warnings: &mut Warnings) -> usize {
         let image = document.textures[texture].source.value();
+        // For a texture without an image the crate gives an index beyond all images.
         let image = (image < document.images.len()).then_some(image);
         let source = match image {
             None => {
@@ -96,6 +97,7 @@ impl<'d> ImageRequests<'d> {
             }
             Some(i) => source_of(document, i),
         };
+        // Reuse the request for an equal source.
         *self.requested_index.entry(source).or_insert_with(|| {
             self.requested.push(image);
             self.requested.len() - 1
@@ -127,6 +129,7 @@ impl<'d> ImageRequests<'d> {
 
         // 3. Decode.
         let decoded: Vec<_> = encoded.into_par_iter().map(|bytes| bytes.map(|bytes| decode(&bytes?))).collect();
+        // Replace the images that cannot be shown.
         let mut textures = Vec::with_capacity(decoded.len());
         for (image, decoded) in self.requested.iter().zip(decoded) {
             textures.push(match decoded {
@@ -180,6 +183,7 @@ fn charge_texels(bytes: &[u8], budget: &mut u64) -> Result<(), ImageFault> {
 /// Decodes an image to RGBA8. Peak memory: up to three times the result, since an image of 16 bits a channel is held
 /// beside its copy of 8 bits.
 fn decode(bytes: &[u8]) -> Result<Texture, ImageFault> {
+    // Limit the decoder's memory to what an image of this size can take, at 16 bits a channel.
     let (width, height) = reader(bytes, METADATA_BYTES)?.into_dimensions()?;
     let largest = u64::from(width) * u64::from(height) * size_of::<[u16; 4]>() as u64;
     let image = reader(bytes, METADATA_BYTES + largest)?.decode()?.into_rgba8();

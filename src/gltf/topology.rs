@@ -36,6 +36,7 @@ impl Topology {
         match self {
             Self::List => vertices.as_chunks::<3>().0.to_vec(),
             Self::Strip => {
+                // Every second triangle of a strip is wound the other way: swap two of its vertices.
                 let triangle =
                     |(i, v): (usize, &[u32])| if i % 2 == 0 { [v[0], v[1], v[2]] } else { [v[0], v[2], v[1]] };
                 vertices.windows(3).enumerate().map(triangle).collect()
@@ -69,6 +70,7 @@ pub(super) fn compact_vertices(indices: &mut [u32], vertex_count: usize) -> Opti
             rank
         })
         .collect();
+    // If all are used, the indices stay as they are.
     if total as usize == vertex_count {
         return None;
     }

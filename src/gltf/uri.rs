@@ -35,18 +35,21 @@ pub(super) enum UriTarget<'u> {
 /// Absolute paths, percent-encoded or not, and all schemes except `data:` are rejected: an import never accesses the
 /// network, nor a file that is not given relative to the glTF file.
 pub(super) fn resolve<'u>(uri: &'u str, base: &Path) -> Result<UriTarget<'u>, UriFault> {
+    // A data URI holds the bytes itself; any other scheme is refused.
     if let Some(data) = strip_data_scheme(uri) {
         return Ok(UriTarget::Data(data));
     }
     if let Some(scheme) = scheme(uri) {
         return Err(UriFault::Scheme { scheme: scheme.to_owned() });
     }
+    // Decode the path; one that is not UTF-8 once decoded is taken as it is written.
     let folder = base.parent().unwrap_or(Path::new(""));
     let decoded = percent_decode_str(uri).decode_utf8().unwrap_or(Cow::Borrowed(uri));
     // `Path::join` with an absolute path would discard the folder, so both spellings are checked.
     for path in [uri, &decoded] {
         check_relative(path)?;
     }
+    // Find the canonical path, which is the same however the file is spelled.
     let path = folder.join(decoded.as_ref());
     let canonical = match path.canonicalize() {
         // A file name with a literal "%20" in it is not a valid URI, but some exporters write it.
@@ -99,6 +102,7 @@ fn scheme(uri: &str) -> Option<&str> {
 /// Rejects absolute paths, drive and share prefixes and NUL bytes, by the rules of all platforms, so that a file
 /// imports the same everywhere.
 fn check_relative(path: &str) -> Result<(), UriFault> {
+    // `Path` knows the rules of this platform only: drives and backslashes are checked by hand.
     let is_anchor = |part| matches!(part, Component::Prefix(_) | Component::RootDir);
     let has_drive = matches!(path.as_bytes(), [letter, b':', ..] if letter.is_ascii_alphabetic());
     if path.starts_with(['/', '\\']) || has_drive || Path::new(path).components().any(is_anchor) {

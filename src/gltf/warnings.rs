@@ -24,6 +24,7 @@ impl Warnings {
 
         let mut warnings = Self::default();
         warnings.add_extensions(document);
+        // Warn of what would be animated: animations, skins, morph targets.
         for (i, _) in elements(&document.value, "animations") {
             let fallback = "not supported: the transforms of the nodes are used";
             warnings.add(document, Feature, "animation", format!("/animations/{i}"), fallback);
@@ -38,6 +39,7 @@ impl Warnings {
                 warnings.add(document, Feature, "morph targets", format!("/meshes/{i}"), fallback);
             }
         }
+        // Warn of what has no effect: occlusion textures and minification filters.
         for (i, material) in document.materials.iter().enumerate() {
             if material.occlusion_texture.is_some() {
                 let fallback = "not used: occlusion is traced";
@@ -74,16 +76,19 @@ impl Warnings {
         let members = document.value.as_object().into_iter().flatten();
         for (key, member) in members {
             match (&**key, member) {
+                // The extensions of the file as a whole.
                 ("extensions", Value::Object(extensions)) => {
                     let names = extensions.keys().map(|name| &**name).filter(|name| !EXTENSIONS.contains(name));
                     names.for_each(|name| self.add_extension(document, name, "/"));
                 }
+                // Each object of a top-level array is searched by itself, so that warnings can name it.
                 (key, Value::Array(elements)) => {
                     for (i, element) in elements.iter().enumerate() {
                         let pointer = format!("/{}/{i}", shorten(key));
                         self.add_extensions_of(document, element, &pointer);
                     }
                 }
+                // Other members, such as "asset", are searched as a whole.
                 (key, member) => self.add_extensions_of(document, member, &format!("/{}", shorten(key))),
             }
         }
@@ -108,6 +113,7 @@ impl Warnings {
 
     /// Adds one warning for all samplers. There are no mipmaps: minification filters are ignored.
     fn add_min_filters(&mut self, document: &Document) {
+        // Find the samplers whose minification filter needs mipmaps, or is not the filter that is used.
         let differs = |sampler: &json::texture::Sampler| match sampler.min_filter {
             Some(Valid(MinFilter::Nearest)) => sampler.mag_filter != Some(Valid(MagFilter::Nearest)),
             Some(Valid(MinFilter::Linear)) => sampler.mag_filter == Some(Valid(MagFilter::Nearest)),
@@ -115,6 +121,7 @@ impl Warnings {
             None => false,
         };
         let mut differing = document.samplers.iter().enumerate().filter(|(_, sampler)| differs(sampler));
+        // Warn once: of the first of them, with the number of the others.
         if let Some((first, _)) = differing.next() {
             let fallback = match differing.count() {
                 0 => "not used: the full image is read by magFilter at any distance".to_owned(),

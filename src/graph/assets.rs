@@ -128,6 +128,7 @@ impl Scene {
         positions: impl Into<Arc<[Vec3]>>,
         normals: Option<Arc<[Vec3]>>,
     ) -> Result<()> {
+        // Validate the new streams before anything changes.
         let old = self.geometry(key)?;
         let new = old.deformed(positions.into(), normals)?;
         if old.positions != new.positions || old.normals != new.normals {
@@ -138,11 +139,14 @@ impl Scene {
 
     /// Replaces a geometry by a validated one.
     pub(super) fn replace_geometry(&mut self, key: GeometryKey, geometry: Geometry) {
+        // Compute the new bounds, and note whether they differ.
         let old = &self.geometries[key].value;
         let new = StoredGeometry::from_validated(geometry, old.version + 1);
         let bounds_changed = old.bounds != new.bounds;
+        // Save the old state for undo, then replace it.
         self.save_prior_state(key);
         self.geometries[key].value = new;
+        // Only a changed box concerns the hierarchy.
         if bounds_changed {
             self.users_bounds_changed(key);
         }
@@ -182,6 +186,7 @@ impl Scene {
     pub fn set_material(&mut self, key: MaterialKey, material: Material) -> Result<()> {
         if *self.material(key)? != material {
             self.check_material(&material)?;
+            // Acquire the new textures before the old ones are released: those that both use must not be freed.
             self.acquire_textures(&material);
             self.save_prior_state(key);
             let old = std::mem::replace(&mut self.materials[key].value, material);
@@ -256,6 +261,7 @@ impl Scene {
         for key in keys_where(&self.cores, |slot| slot.user_count == 0) {
             self.release_core_if_unused(key);
         }
+        // Then all assets without users, those of the freed cores included.
         let geometries = keys_where(&self.geometries, |used| used.user_count == 0);
         let materials = keys_where(&self.materials, |used| used.user_count == 0);
         let textures = keys_where(&self.textures, |used| used.user_count == 0);
@@ -317,6 +323,7 @@ impl Scene {
     /// Tells the hierarchy that the bounds of a geometry changed. O(cores + its users).
     pub(super) fn users_bounds_changed(&mut self, key: GeometryKey) {
         let users = |slot: &CoreSlot| std::iter::successors(slot.first_user, |&user| self.nodes[user].next_user);
+        // Cores are not indexed by geometry: search all of them.
         for slot in self.cores.values().filter(|slot| slot.core.geometry() == Some(key)) {
             users(slot).for_each(|user| self.hierarchy.geometry_bounds_changed(user));
         }
@@ -341,6 +348,7 @@ impl Scene {
     }
 
     fn free_geometry(&mut self, key: GeometryKey) {
+        // While a delta is applied nothing is freed here: the delta lists its removals.
         if self.defers_release {
             return;
         }
@@ -354,6 +362,7 @@ impl Scene {
             return;
         }
         self.save_prior_state(key);
+        // Its textures lose a user, and may be freed in turn.
         if let Some(used) = self.materials.remove(key) {
             self.record(key, Change::REMOVED);
             self.release_textures(&used.value);

@@ -45,6 +45,7 @@ impl Billboard {
     /// The rotation in the local space of a node with this world matrix, for an eye and an up direction in world space.
     pub(crate) fn local(&self, world_from_local: &DAffine3, eye: DVec3, up: DVec3) -> DAffine3 {
         let local_from_world = world_from_local.inverse();
+        // A world matrix without an inverse has no local view direction: nothing is rotated.
         let rotation = if local_from_world.is_finite() {
             self.rotation(local_from_world.transform_point3(eye), local_from_world.transform_vector3(up))
         } else {

@@ -176,6 +176,7 @@ impl ChangeLog {
     /// All entries from the segment that starts at `since` on, merged by object. The reading cursor was advanced
     /// before.
     fn merged_since(&mut self, since: u64) -> Vec<(ObjectKey, Change)> {
+        // Copy or take the first unread segment, and append all later ones to it.
         let first = self.segments.partition_point(|segment| segment.start < since);
         let mut merged = if self.lowest_cursor() > since {
             // No other cursor reads this segment: take it.
@@ -186,6 +187,7 @@ impl ChangeLog {
         for segment in self.segments.range(first + 1..) {
             merged.append(segment);
         }
+        // Objects added and removed in between are of no interest to the reader.
         merged.entries.retain(|(_, change)| !change.is_empty());
         merged.entries
     }
@@ -193,6 +195,7 @@ impl ChangeLog {
     /// Merges segments until each has a cursor at its start.
     fn merge_between_cursors(&mut self) {
         self.drop_read_segments();
+        // Append each segment without a cursor at its start to the one before.
         let starts = self.positions();
         let mut kept: VecDeque<Segment> = VecDeque::with_capacity(starts.len());
         for segment in self.segments.drain(..) {
@@ -206,6 +209,7 @@ impl ChangeLog {
 
     fn forget_dropped_cursors(&mut self) {
         self.cursors.retain(|cursor| cursor.strong_count() > 0);
+        // Without cursors nothing needs to be stored.
         if self.cursors.is_empty() {
             *self = Self::default();
         } else {
@@ -214,6 +218,7 @@ impl ChangeLog {
     }
 
     fn drop_read_segments(&mut self) {
+        // Every cursor is past these segments. The last one stays: it is open.
         let lowest = self.lowest_cursor();
         while self.segments.len() > 1 && self.segments.front().is_some_and(|oldest| oldest.start < lowest) {
             self.segments.pop_front();
@@ -230,10 +235,12 @@ impl ChangeLog {
 
     /// Checks that each cursor is at the start of a segment, and that no segment has two entries for an object.
     pub(super) fn validate(&self, root: NodeKey) -> Result<()> {
+        // Segments ascend, and each cursor is at the start of one.
         let rising = self.segments.iter().is_sorted_by(|a, b| a.start < b.start);
         require_invariant(rising, root, "the log is out of order")?;
         let at_segment = |position: &u64| self.segments.iter().any(|segment| segment.start == *position);
         require_invariant(self.positions().iter().all(at_segment), root, "a cursor is not at the start of a segment")?;
+        // In each segment an object has one entry, which the index finds if there is one.
         for segment in &self.segments {
             let mut seen = HashSet::new();
             let entries = segment.entries.iter().enumerate().filter(|(_, (_, change))| !change.is_empty());
@@ -258,6 +265,7 @@ fn set_entry_index(
     hints: &mut EntryIndices,
     reused: &mut HashMap<ObjectKey, usize>,
 ) {
+    // Hints may be outdated: keep the displaced one only if the other key's entry is really there.
     if let Some((other, other_index)) = hints.set(object, entry_index)
         && entries.get(other_index).is_some_and(|&(found, change)| found == other && !change.is_empty())
     {
@@ -305,9 +313,11 @@ impl Segment {
         if later.entries.is_empty() {
             return;
         }
+        // Build the index at the first merge.
         if self.index.is_empty() {
             self.index = self.entries.iter().enumerate().map(|(index, entry)| (entry.0, index)).collect();
         }
+        // Merge each change into the object's entry, or add an entry.
         for &(object, change) in later.entries.iter().filter(|(_, change)| !change.is_empty()) {
             if let Some(&entry_index) = self.index.get(&object) {
                 self.merge_at(entry_index, change);
@@ -316,6 +326,7 @@ impl Segment {
                 self.entries.push((object, change));
             }
         }
+        // Compaction moves entries: the index is rebuilt at the next merge.
         if self.compact() {
             self.index.clear();
         }

@@ -185,10 +185,12 @@ impl Scene {
 
     /// Fast path of [`set_core`](Self::set_core) for transforms: no asset counts, no instance checks.
     fn edit_transform(&mut self, key: CoreKey, transform: Transform) -> Result<()> {
+        // Check the transform and compute its matrix once for all users.
         let local = check_transform(&transform)?;
         self.save_prior_state(key);
         let slot = &mut self.cores[key];
         slot.core = Core::Transform(transform);
+        // Give it to the entries of every user.
         let mut next = slot.first_user;
         while let Some(user) = next {
             self.hierarchy.transform_changed(user, &local);
@@ -217,6 +219,7 @@ impl Scene {
         if self.cores[key].user_count > 0 {
             return;
         }
+        // Remove the core, then end its uses of assets.
         self.save_prior_state(key);
         if let Some(slot) = self.cores.remove(key) {
             self.record(key, Change::REMOVED);
@@ -232,6 +235,7 @@ impl Scene {
 
     /// Tells the hierarchy that a node's core changed; `old_effects` are the effects of the old core.
     pub(super) fn core_changed(&mut self, key: NodeKey, old_effects: HierarchyEffects) {
+        // Reload the own values; derived data depend on the kinds of the old and the new core.
         self.node_changed(key);
         let new_effects = HierarchyEffects::of(&self.cores[self.nodes[key].core].core);
         if old_effects.switch || new_effects.switch {

@@ -49,6 +49,7 @@ impl Geometry {
 
     /// A copy with other positions (and normals) that shares all other streams; validates the new ones.
     pub(super) fn deformed(&self, positions: Arc<[Vec3]>, normals: Option<Arc<[Vec3]>>) -> Result<Self> {
+        // Only the new streams need a check: the others were validated with this geometry.
         let vertex_count = self.positions.len();
         check_stream("positions", Some(&positions), vertex_count, |v| v.is_finite())?;
         check_stream("normals", normals.as_deref(), vertex_count, |v| v.is_finite())?;
@@ -58,6 +59,7 @@ impl Geometry {
     /// The box around the triangles of a valid geometry; vertices that none of them uses do not count. O(triangles).
     pub(super) fn bounds(&self) -> Aabb {
         let of_triangle = |triangle: &[u32; 3]| triangle.map(|vertex| self.positions[vertex as usize]);
+        // Unite the boxes of chunks in parallel.
         self.indices
             .par_chunks(1 << 13)
             .map(|chunk| Aabb::from_points(chunk.iter().flat_map(of_triangle)))
@@ -72,6 +74,7 @@ impl Geometry {
                 (a, b) => a.is_none() && b.is_none(),
             }
         }
+        // Shared streams are equal without a look at their elements.
         let is_shared = Arc::ptr_eq(&self.positions, &other.positions)
             && Arc::ptr_eq(&self.indices, &other.indices)
             && is_shared(self.normals.as_ref(), other.normals.as_ref())
@@ -91,6 +94,7 @@ impl Geometry {
         let invalid =
             |what, index, value: String, expected: String| Error::InvalidGeometry { what, index, value, expected };
 
+        // Check the number of triangles, then every index.
         if self.indices.len() > Self::MAX_TRIANGLES {
             let expected = format!("at most {} triangles fit in one geometry", Self::MAX_TRIANGLES);
             return Err(invalid("indices", self.indices.len(), "present".into(), expected));
@@ -100,6 +104,7 @@ impl Geometry {
             return Err(invalid("indices", i, format!("{:?}", self.indices[i]), expected));
         }
 
+        // Check all streams for length and finite numbers.
         check_finite("positions", &self.positions, |v| v.is_finite())?;
         for (what, stream) in [("tex_coords[0]", &self.tex_coords[0]), ("tex_coords[1]", &self.tex_coords[1])] {
             check_stream(what, stream.as_deref(), vertex_count, |v| v.is_finite())?;

@@ -9,6 +9,7 @@ impl Scene {
     /// Whether `above` is `node` or an ancestor of it, where the users of an instance core count as parents of its
     /// target. O(depth) without instances, O(ancestors through all instances) with some.
     pub(super) fn is_ancestor_or_self(&self, above: NodeKey, node: NodeKey) -> bool {
+        // Without instances each node has one path to the root.
         if self.cores_by_target.is_empty() {
             return std::iter::successors(Some(node), |&node| self.nodes[node].parent).any(|node| node == above);
         }

@@ -11,10 +11,12 @@ impl Scene {
     /// Makes `node`, which has no parent, the child of `parent` that comes after `previous`; `None` makes it the
     /// first child.
     pub(super) fn link_child_after(&mut self, node: NodeKey, parent: NodeKey, previous: Option<NodeKey>) {
+        // Link from the previous sibling, or as the first child.
         let next = match previous {
             Some(previous) => self.nodes[previous].next_sibling.replace(node),
             None => self.nodes[parent].first_child.replace(node),
         };
+        // Link from the next sibling, or as the last child.
         match next {
             Some(next) => {
                 self.save_prior_state(next);
@@ -33,6 +35,7 @@ impl Scene {
             // Its previous sibling, which is part of its state, changes.
             self.save_prior_state(next);
         }
+        // Clear the node's own links, then close the gap on both sides.
         let slot = &mut self.nodes[node];
         let (previous, next) = (slot.previous_sibling.take(), slot.next_sibling.take());
         let Some(parent) = slot.parent.take() else { return };
@@ -48,6 +51,7 @@ impl Scene {
 
     /// Makes `node`, which has no core, a user of `core`.
     pub(super) fn link_user(&mut self, node: NodeKey, core: CoreKey) {
+        // Insert it at the head of the list: the order of users has no meaning.
         let slot = &mut self.cores[core];
         slot.user_count += 1;
         let next = slot.first_user.replace(node);
@@ -63,6 +67,7 @@ impl Scene {
         self.cores[core].user_count -= 1;
         let slot = &mut self.nodes[node];
         let (previous, next) = (slot.previous_user.take(), slot.next_user.take());
+        // Close the gap in the list of users.
         match previous {
             Some(previous) => self.nodes[previous].next_user = next,
             None => self.cores[core].first_user = next,

@@ -164,6 +164,7 @@ impl Scene {
             Core::Geometry { geometry, .. } => self.geometries[geometry].value.geometry.indices.len() as u64,
             _ => 0,
         };
+        // Each core counts once for each of its users.
         self.cores.values().map(|slot| triangles(slot) * slot.user_count as u64).sum()
     }
 
@@ -247,6 +248,7 @@ impl Scene {
         let object = object.into();
         self.revision += 1;
         self.log.record(object, change);
+        // Creation and removal also concern the journal; other edits saved their prior state before.
         match change {
             Change::ADDED => self.save_as_absent(object),
             Change::REMOVED => self.discard_transient(object),

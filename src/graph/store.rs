@@ -32,6 +32,7 @@ impl<K: Key, V> Store<K, V> {
     /// Stores a new object. O(1) amortised.
     pub(super) fn insert(&mut self, value: V) -> K {
         let slot = self.take_free_slot();
+        // Odd generations only, each higher than any before: no key is issued twice.
         let generation = match self.generations[slot] {
             0 => 1,
             highest => highest + 2,
@@ -129,6 +130,7 @@ impl<K: Key, V> Store<K, V> {
         if count > old_count {
             self.generations.resize(count, 0);
             self.is_in_free_list.resize(count, false);
+            // Pushed in descending order, since the free list pops from its end.
             (old_count..count).rev().for_each(|slot| self.push_free_slot(slot));
         }
     }

@@ -61,6 +61,7 @@ impl Transform {
     /// The pose of a camera or light at `eye`, with -Z towards `target` and +Y as close to `up` as possible. If `up` is
     /// parallel to the view direction, an arbitrary perpendicular is used.
     pub fn looking_at(eye: DVec3, target: DVec3, up: DVec3) -> Self {
+        // An orthonormal basis whose +Z points away from the target.
         let back = (eye - target).try_normalize().unwrap_or(DVec3::Z);
         let right = up.cross(back).try_normalize().unwrap_or_else(|| back.any_orthonormal_vector());
         let rotation = DQuat::from_mat3(&DMat3::from_cols(right, back.cross(right), back));
@@ -70,6 +71,7 @@ impl Transform {
     /// A copy with another rotation (unit quaternion). A matrix is decomposed first; its shear is lost.
     #[must_use]
     pub fn with_rotation(self, rotation: DQuat) -> Self {
+        // A pivoted transform keeps its pivot and the axes of its scale.
         if let Self::Pivoted { translation, scale, scale_rotation, pivot, .. } = self {
             return Self::Pivoted { translation, rotation, scale, scale_rotation, pivot };
         }
@@ -94,6 +96,7 @@ impl Transform {
             Self::Trs { translation, rotation, scale } => return (scale, rotation, translation),
             Self::Pivoted { .. } | Self::Matrix(_) => self.to_affine(),
         };
+        // A singular matrix has no unique rotation: only its translation is kept.
         if affine.matrix3.determinant() != 0.0 {
             affine.to_scale_rotation_translation()
         } else {
@@ -108,6 +111,7 @@ impl Transform {
                 DAffine3::from_scale_rotation_translation(scale, rotation, translation)
             }
             Self::Pivoted { translation, rotation, scale, scale_rotation, pivot } => {
+                // Scale along the turned axes, then rotate; the pivot moves by the translation only.
                 let turn = DMat3::from_quat(scale_rotation);
                 let linear = DMat3::from_quat(rotation) * turn * DMat3::from_diagonal(scale) * turn.transpose();
                 DAffine3 { matrix3: linear, translation: translation + pivot - linear * pivot }

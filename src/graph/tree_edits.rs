@@ -18,6 +18,7 @@ impl Scene {
     /// instances).
     pub fn add(&mut self, parent: NodeKey, core: impl Into<CoreSource>) -> Result<NodeKey> {
         self.node(parent)?;
+        // Check the core, and that an instance does not show a node above it.
         let source = core.into();
         if let CoreSource::New(core @ Core::Instance(_)) = &source {
             self.check_core(core)?;
@@ -25,10 +26,12 @@ impl Scene {
         } else if let CoreSource::Shared(key) = source {
             self.check_instance_cycle(parent, self.core(key)?)?;
         }
+        // Create the node, and link it to its core and its parent.
         let core = self.insert_or_share_core(source)?;
         let node = self.nodes.insert(Node::new(core));
         self.link_user(node, core);
         self.link_child(node, parent);
+        // Notify the hierarchy and the change log.
         self.hierarchy.node_attached(node);
         self.record(node, Change::ADDED);
         self.children_changed(parent);
@@ -117,12 +120,15 @@ impl Scene {
 
     /// The local transform that preserves the world transform of `node` below `parent`; `None` if it is unchanged.
     fn local_transform_under(&self, node: NodeKey, parent: NodeKey) -> Result<Option<Transform>> {
+        // Fail for nodes without a transform core, even where the transform would not change.
         self.local(node)?;
+        // Equal parent matrices: the local transform stays, bit for bit.
         let old_parent_world = self.world_from_parent(node)?;
         let parent_world = self.world_from_local(parent)?;
         if parent_world == old_parent_world {
             return Ok(None);
         }
+        // Solve parent * local = world, and check the product: a singular parent has no inverse.
         let world = self.world_from_local(node)?;
         let local = parent_world.inverse() * world;
         if preserves_world(&parent_world, &local, &world) {
@@ -229,6 +235,7 @@ impl Scene {
     fn release_node(&mut self, node: NodeKey) {
         self.save_prior_state(node);
         self.record(node, Change::REMOVED);
+        // End its use of the core before the node goes: the list of users runs through the nodes.
         let core = self.nodes[node].core;
         self.unlink_user(node, core);
         self.nodes.remove(node);
@@ -242,12 +249,14 @@ fn preserves_world(parent: &DAffine3, local: &DAffine3, world: &DAffine3) -> boo
     /// Well above f64 rounding, well below a visible error.
     const TOLERANCE: f64 = 1e-6;
 
+    // Compare each axis of the product with the one wanted.
     let result = *parent * *local;
     let close = |a: DVec3, b: DVec3, extent: f64| (a - b).abs().max_element() <= TOLERANCE * extent;
     let preserves_axis = |i| {
         let axis = world.matrix3.col(i);
         close(result.matrix3.col(i), axis, axis.abs().max_element())
     };
+    // The translation may cancel against the parent's: the larger of both sets the tolerance.
     let extent = world.translation.abs().max_element().max(parent.translation.abs().max_element());
     let finite = [local, world, &result].into_iter().all(DAffine3::is_finite);
     finite && (0..3).all(preserves_axis) && close(result.translation, world.translation, extent)

@@ -62,11 +62,13 @@ impl Scene {
     /// [`Error::StaleKey`](crate::Error::StaleKey).
     pub fn world_from_local(&self, node: NodeKey) -> Result<DAffine3> {
         let core = self.node_core(node)?;
+        // Read the matrix from the hierarchy if that is up to date.
         if self.hierarchy.is_up_to_date()
             && let Some(entry) = self.hierarchy.entry(node)
         {
             return Ok(self.hierarchy.resolved()[entry].world_from_local);
         }
+        // Else multiply from the root down, in the hierarchy's order, so that both results agree bit for bit.
         let ancestors = self.ancestors(node)?.map(|ancestor| &self.cores[self.nodes[ancestor].core].core);
         let locals: Vec<_> = std::iter::once(core).chain(ancestors).filter_map(local_affine).collect();
         Ok(locals.into_iter().rev().fold(DAffine3::IDENTITY, |world, local| world * local))

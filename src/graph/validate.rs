@@ -27,6 +27,7 @@ impl Scene {
     /// Checks that every link has its counterpart, and that the links lead to every node once.
     fn validate_tree(&self) -> Result<()> {
         for (key, node) in self.nodes.iter() {
+            // The root alone has no parent, and no link is stale.
             require_invariant(node.parent.is_none() == (key == self.root), key, "only the root has no parent")?;
             let links = [node.parent, node.first_child, node.last_child, node.previous_sibling, node.next_sibling];
             require_invariant(
@@ -35,6 +36,7 @@ impl Scene {
                 "one of its links is a stale key",
             )?;
 
+            // Each child and sibling links back.
             let family = |link: Option<NodeKey>| link.map(|link| &self.nodes[link]);
             let first_fits = family(node.first_child)
                 .is_none_or(|child| child.parent == Some(key) && child.previous_sibling.is_none());
@@ -46,6 +48,7 @@ impl Scene {
             require_invariant(first_fits && last_fits && ends_fit, key, "its children are not linked to it")?;
             require_invariant(next_fits, key, "its next sibling is not linked to it")?;
         }
+        // Count the nodes reached from the root; `take` ends the walk where links form a cycle.
         let reached = self.subtree(self.root)?.take(self.nodes.len() + 1).count();
         require_invariant(reached == self.nodes.len(), self.root, "some nodes are not below it, or are below it twice")
     }
@@ -56,6 +59,7 @@ impl Scene {
         let is_user = |node: &Node, previous, core| node.core == core && node.previous_user == previous;
         let mut user_count = 0;
         for (key, slot) in self.cores.iter() {
+            // Walk the users, each of which must have this core and link back; a cycle exceeds the count.
             let (mut previous, mut next, mut found) = (None, slot.first_user, 0);
             while let Some(user) = next {
                 let node = self.node(user)?;
@@ -66,6 +70,7 @@ impl Scene {
             require_invariant(found == slot.user_count, key, "it has fewer users than it counts")?;
             user_count += found;
             check_core(&slot.core)?;
+            // An instance is registered with its target, and shows no node above its users.
             if let Core::Instance(target) = slot.core {
                 self.node(target)?;
                 let known = self.cores_by_target.get(&target).is_some_and(|cores| cores.contains(&key));
@@ -79,12 +84,14 @@ impl Scene {
 
     /// Checks that every count is the number of references, and that every value is allowed.
     fn validate_assets(&self) -> Result<()> {
+        // User counts equal the references from cores and materials.
         let cores = || self.cores.values().map(|slot| &slot.core);
         validate_counts(&self.geometries, cores().filter_map(Core::geometry))?;
         validate_counts(&self.materials, cores().filter_map(Core::material))?;
         let materials = self.materials.values().map(|used| &used.value);
         validate_counts(&self.textures, materials.clone().flat_map(|m| m.textures().map(|t| t.texture)))?;
 
+        // Every stored value passes the check of its setter.
         self.geometries.values().try_for_each(|used| used.value.geometry.validate())?;
         self.textures.values().try_for_each(|used| check_texture(&used.value))?;
         materials.into_iter().try_for_each(check_material)
@@ -96,6 +103,7 @@ fn validate_counts<K: Key + Into<ObjectKey>, V>(
     assets: &Store<K, UseCounted<V>>,
     references: impl Iterator<Item = K>,
 ) -> Result<()> {
+    // Count the references to each asset, then compare.
     let mut counts: slotmap::SecondaryMap<K, usize> = assets.keys().map(|key| (key, 0)).collect();
     for key in references {
         let count = counts.get_mut(key);

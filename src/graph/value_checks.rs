@@ -38,6 +38,7 @@ pub(super) fn check_transform(transform: &Transform) -> Result<DAffine3> {
 }
 
 fn check_lod(lod: &Lod) -> Result<()> {
+    // Check the centre, the hysteresis and each threshold by itself.
     require(lod.center.is_finite(), "centre of the levels of detail", &lod.center, "finite")?;
     let hysteresis = lod.hysteresis;
     require((0.0..1.0).contains(&hysteresis), "hysteresis of levels of detail", &hysteresis, "at least 0 and below 1")?;
@@ -48,6 +49,7 @@ fn check_lod(lod: &Lod) -> Result<()> {
         &lod.thresholds,
         "finite and above 0",
     )?;
+    // Thresholds go from near to far: distances ascend, projected sizes descend.
     match lod.metric {
         LodMetric::Distance => {
             require(lod.thresholds.is_sorted(), "limits of levels of detail", &lod.thresholds, "ascending distances")
@@ -104,6 +106,7 @@ pub(super) fn check_material(material: &Material) -> Result<()> {
     for value in material.emissive.to_array() {
         require_at_least_zero("material emission", value)?;
     }
+    // 0 is glTF's notation for an infinite index.
     let ior = material.ior;
     require(
         ior == 0.0 || (ior >= 1.0 && ior.is_finite()),
@@ -126,6 +129,7 @@ fn check_texture_ref(texture: &TextureRef) -> Result<()> {
 /// Checks that a texture has `width * height` texels, and at least one.
 pub(super) fn check_texture(texture: &Texture) -> Result<()> {
     let (width, height, texels) = (texture.width, texture.height, texture.texels.len());
+    // In u64, where the product of two u32 cannot overflow.
     let matches = u64::from(width) * u64::from(height) == texels as u64;
     let size = format_args!("{width} x {height} with {texels} texels");
     let expected = "at least 1 x 1, with width times height texels";

@@ -71,6 +71,7 @@ fn exr(image: &Image) -> ImageResult<Vec<u8>> {
 /// The channels of the AOVs, under the names that compositing programs look for (Z, N.X) where there is a usual one.
 fn aov_channels(aovs: &Aovs) -> [AnyChannel<FlatSamples>; 7] {
     let normal = |axis: usize| aovs.normal.iter().map(move |n| n[axis]);
+    // A node's key has 64 bits: it is split into two channels of 32.
     let ids = |shift: u32| aovs.node.iter().map(move |node| (node.data().as_ffi() >> shift) as u32);
     [
         float_channel("Z", aovs.depth.iter().copied()),

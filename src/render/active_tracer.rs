@@ -52,6 +52,7 @@ impl ActiveTracer {
             DeviceChoice::Cpu => (Box::new(Cpu::default()), None),
             DeviceChoice::Emulated => (Box::new(Emulated::default()), None),
             DeviceChoice::Gpu => (open_gpu(choice)?, None),
+            // Without a GPU the CPU traces, and the reason is kept.
             DeviceChoice::Auto => match open_gpu(choice) {
                 Ok(gpu) => (gpu, None),
                 Err(reason) => (Box::new(Cpu::default()), Some(reason.to_string())),

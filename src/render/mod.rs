@@ -216,6 +216,7 @@ impl Renderer {
         view.validate()?;
         view.check_pixels(x..x.saturating_add(1), y..y.saturating_add(1))?;
         self.compiler.compile(scene, view.viewpoint())?;
+        // Trace the same ray as a frame's kernel does for this pixel; it needs no lights.
         let ray = camera_ray(&view.frame_params(self.compiler.origin(), 0), x, y);
         Ok(Queries::of_compiled_scene(&self.compiler, scene)?.with_ray_mask(view.ray_mask).closest_hit_of_kernel(&ray))
     }

@@ -174,6 +174,7 @@ impl RelativeRay {
             direction: direction.as_vec3().to_array(),
             t_max,
         };
+        // A ray whose start is beyond f32, or that ends before it, hits nothing.
         if from.as_vec3().is_finite() && t_max >= 0.0 { Self { record, t_offset, t_scale } } else { Self::MISS }
     }
 
@@ -193,10 +194,12 @@ fn box_entry(bounds: &Bounds, origin: DVec3, direction: DVec3) -> Option<f64> {
     if bounds.is_empty() {
         return None;
     }
+    // Intersect the intervals of t in which the line is between the two planes of each axis.
     let (mut near, mut far) = (f64::NEG_INFINITY, f64::INFINITY);
     for axis in 0..3 {
         let (low, high) = (bounds.min[axis] - origin[axis], bounds.max[axis] - origin[axis]);
         if direction[axis] == 0.0 {
+            // A line parallel to the planes is between them everywhere or nowhere.
             if low > 0.0 || high < 0.0 {
                 return None;
             }

@@ -95,6 +95,7 @@ impl View {
             corner.z + (corner.x.abs() / f64::from(half_width)).max(corner.y.abs() / f64::from(half_height))
         });
         let distance = distance.into_iter().fold(0.0, f64::max) * 1.08;
+        // Keep a distance from a scene without extent.
         let distance = if distance > least { distance } else { least.max(1.0) };
         view.world_from_view.translation = center + view.world_from_view.matrix3.z_axis * distance;
         Ok(view)
@@ -184,11 +185,15 @@ impl View {
     /// device arrays are used. For [frames](crate::trace::FrameRequest) that an application traces by a tracer of its
     /// own.
     pub fn frame_params(&self, origin: DVec3, light_count: u32) -> FrameParams {
+        // Bring the axes to length 1, whatever the scale of the camera's node.
         let axes = self.world_from_view.matrix3;
         let [right, up, back] = [axes.x_axis, axes.y_axis, axes.z_axis].map(|axis| axis.normalize_or_zero().as_vec3());
         let (half_width, half_height, orthographic) = self.half_extent();
+        // Scale the axes of the image to half its size.
         let (right, up, shift) = (right * half_width, up * half_height, self.camera.shift());
+        // Subtract the origin in f64, before the eye is rounded to f32.
         let (mut eye, mut forward) = ((self.world_from_view.translation - origin).as_vec3(), -back);
+        // A shifted lens moves the centre of the image: perspective rays turn, orthographic ones start elsewhere.
         let to_center = right * shift.x + up * shift.y;
         *(if orthographic == 0 { &mut forward } else { &mut eye }) += to_center;
         FrameParams {
@@ -223,6 +228,7 @@ impl View {
             }
             Camera::Orthographic { x_mag, y_mag, .. } => (x_mag, y_mag, 1),
         };
+        // Grow the width or the height to the aspect of the image.
         let grown_width = half_width.max(half_height * image_aspect);
         let grown_height = half_height.max(half_width / image_aspect);
         (grown_width, grown_height, orthographic)

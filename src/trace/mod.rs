@@ -85,6 +85,7 @@ pub trait Tracer {
 
 /// One frame to trace.
 #[derive(Clone, Copy, Debug)]
+#[non_exhaustive]
 pub struct FrameRequest {
     /// Camera, sky and limits.
     pub params: FrameParams,
@@ -94,11 +95,32 @@ pub struct FrameRequest {
     pub aovs: bool,
 }
 
+impl FrameRequest {
+    /// A frame without AOVs.
+    pub fn new(params: FrameParams, needs: Needs) -> Self {
+        Self { params, needs, aovs: false }
+    }
+
+    /// The same frame, with [`Image::aovs`] or without.
+    #[must_use]
+    pub fn with_aovs(self, aovs: bool) -> Self {
+        Self { aovs, ..self }
+    }
+}
+
 /// Name and kind of the device that runs the kernel.
 #[derive(Clone, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct DeviceInfo {
     /// "gpu", "cpu", "emulated" or "recursive".
     pub executor: &'static str,
     /// The device's own name and driver, or the number of threads.
     pub name: String,
+}
+
+impl DeviceInfo {
+    /// The info of an application's own [`Tracer`].
+    pub fn new(executor: &'static str, name: impl Into<String>) -> Self {
+        Self { executor, name: name.into() }
+    }
 }

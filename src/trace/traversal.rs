@@ -31,6 +31,7 @@ impl Traversal {
 
 /// Machine-independent traversal cost: elements read and tests made, summed over rays.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[non_exhaustive]
 pub struct TraversalCounts {
     /// Nodes read, of both levels.
     pub nodes: u64,
@@ -46,6 +47,7 @@ pub struct TraversalCounts {
 
 /// Rays of a frame and their machine-independent traversal cost.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[non_exhaustive]
 pub struct FrameCounts {
     /// Closest-hit rays: primary, reflected and refracted rays, and rays that continue behind blended surfaces.
     pub radiance_rays: u64,

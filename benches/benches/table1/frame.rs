@@ -91,8 +91,8 @@ pub fn counts<'a>(
             ));
         }
     }
-    let rays = counted.first().map_or(FrameCounts::default(), |(_, counts)| *counts);
-    let rays = FrameCounts { cost: TraversalCounts::default(), ..rays };
+    let mut rays = counted.first().map_or(FrameCounts::default(), |(_, counts)| *counts);
+    rays.cost = TraversalCounts::default();
     let of = |executor: &Executor| counted.iter().find(|(other, _)| Some(*other) == traversal(executor));
     executors.iter().map(|executor| of(executor).map_or(rays, |(_, counts)| *counts)).collect()
 }

@@ -172,7 +172,7 @@ fn measure_scene(
         let view = recipe.view(size(options), if setting.is_far { 2.0 } else { 1.0 });
         let lights = if setting.has_shadows { scene.arrays().lights.len() as u32 } else { 0 };
         let params = view.frame_params(scene.compiler.origin(), lights);
-        let request = FrameRequest { params, needs: scene.needs, aovs: false };
+        let request = FrameRequest::new(params, scene.needs);
         let arrays = |executor: &Executor| if executor.is_paper { &paper } else { scene.arrays() };
         let mut contenders: Vec<Contender> = Vec::new();
         for executor in &mut executors {
@@ -212,7 +212,7 @@ fn add_row(figure: &Measured, all: &[Measured], options: &Options, report: &mut 
         PaperColumn::Emulated => emulated.to_string(),
     });
     let [width, height] = size(options);
-    let FrameCounts { radiance_rays: rays, primary_hits, shadow_rays, cost: work } = figure.counts;
+    let FrameCounts { radiance_rays: rays, primary_hits, shadow_rays, cost: work, .. } = figure.counts;
     let a_ray = |total: u64| if total == 0 { String::new() } else { format!("{:.1}", figure.a_ray(total as f64)) };
     report.row([
         figure.scene.to_owned(),

@@ -17,6 +17,7 @@ impl Hierarchy {
     pub(in crate::graph) fn node_attached(&mut self, node: NodeKey) {
         if self.pending.is_built {
             self.pending.reattached.push(node);
+            // After too many edits a rebuild is cheaper: stop recording until it is done.
             self.pending.is_built = self.pending.reattached.len() <= self.rebuild_threshold();
         }
     }
@@ -24,6 +25,7 @@ impl Hierarchy {
     /// The node and its subtree are about to be removed. O(entries removed).
     pub(in crate::graph) fn subtree_removed(&mut self, node: NodeKey) {
         if self.pending.is_built {
+            // Copy the list first: removing an entry edits it.
             let entries: Vec<usize> = self.entries(node).collect();
             for entry in entries {
                 self.remove_subtree(entry);
@@ -46,6 +48,7 @@ impl Hierarchy {
         if !self.pending.is_built {
             return;
         }
+        // Edit the own values of every entry of the node; inherited values are recomputed at the next update.
         let more = self.instanced_entries.get(&key).into_iter().flatten();
         for &entry in self.first_entries.get(key).into_iter().chain(more) {
             change(&mut self.properties[entry as usize]);
@@ -75,16 +78,19 @@ impl Hierarchy {
         if self.is_up_to_date() {
             return Ok(());
         }
+        // Patch the arrays, or rebuild them where too many entries were removed or appended.
         let result = if self.pending.is_built && self.unordered_count() <= self.rebuild_threshold() {
             self.update_structure(tree)
         } else {
             self.rebuild(tree)
         };
+        // After an error the arrays may be half updated: drop them, so that the next update rebuilds.
         if result.is_err() {
             let generation = self.generation;
             *self = Self { generation, ..Self::default() };
             return result;
         }
+        // Select the children of changed switches, then recompute inherited values below all dirty entries.
         self.apply_switches(tree);
         self.propagate_dirty();
         Ok(())
@@ -105,8 +111,10 @@ impl Hierarchy {
 impl Hierarchy {
     /// Builds all arrays in preorder.
     fn rebuild(&mut self, tree: SceneStores<'_>) -> Result<()> {
+        // Start from empty arrays of a new generation; the bounds stay enabled if they were in use.
         let boxes = self.subtree_bounds.take().map(|_| Default::default());
         *self = Self { generation: self.generation + 1, subtree_bounds: boxes, ..Self::default() };
+        // Reserve one entry per node; those in instances come on top.
         let capacity = tree.nodes.len();
         self.nodes.reserve(capacity);
         self.parents.reserve(capacity);
@@ -114,6 +122,7 @@ impl Hierarchy {
         self.properties.reserve(capacity);
         self.first_entries.set_capacity(capacity);
         self.pending = PendingUpdates { is_built: true, ..PendingUpdates::default() };
+        // Append all entries from the root down.
         self.check_entry_limit(tree, tree.root)?;
         self.append_subtree(tree, tree.root, Self::NO_PARENT, false);
         Ok(())
@@ -173,6 +182,7 @@ impl Hierarchy {
 
     /// The root of the instanced subtree below `entry`, if its core is or was an instance.
     fn instance_root_below(&self, entry: usize) -> Option<usize> {
+        // It follows its parent directly, before the children, or was appended later.
         let is_instance_root = |&below: &usize| {
             self.parents.get(below) == Some(&(entry as u32))
                 && self.properties[below].is_instance_root
@@ -187,6 +197,7 @@ impl Hierarchy {
         let start = self.nodes.len();
         self.check_entry_limit(tree, node)?;
         self.append_subtree(tree, node, parent as u32, instanced);
+        // Register the range with its parent, outside whose own range it lies.
         self.appended_subtrees.entry(parent as u32).or_default().push(start as u32);
         self.appended_count += self.nodes.len() - start;
         Ok(())
@@ -215,6 +226,8 @@ impl Hierarchy {
                     self.pending.dirty.insert(first as usize);
                     return;
                 }
+                // An instance target is followed by its instance node's own children, any other entry by its next
+                // sibling.
                 let above = self.parents[closed as usize];
                 let next = if self.properties[closed as usize].is_instance_root {
                     tree.nodes[self.nodes[above as usize]].first_child
@@ -232,6 +245,7 @@ impl Hierarchy {
 
     /// Checks the entry limit before allocating: nested instances multiply.
     fn check_entry_limit(&self, tree: SceneStores<'_>, top: NodeKey) -> Result<()> {
+        // Without instances there is one entry per node.
         if !tree.has_instances {
             return Ok(());
         }
@@ -285,6 +299,7 @@ impl Hierarchy {
 
     fn clear(&mut self, range: Range<usize>) {
         for entry in range {
+            // Null keys mark removed entries; the entry keeps its index.
             let node = std::mem::take(&mut self.nodes[entry]);
             if !node.is_null() {
                 self.unregister_entry(node, entry as u32);
@@ -300,6 +315,7 @@ impl Hierarchy {
 
     /// Removes an entry from those of its node.
     fn unregister_entry(&mut self, node: NodeKey, entry: u32) {
+        // If it was the node's first entry, one of the others takes its place.
         let more = self.instanced_entries.get_mut(&node);
         if self.first_entries.get(node) == Some(&entry) {
             match more.and_then(BTreeSet::pop_last) {
@@ -309,6 +325,7 @@ impl Hierarchy {
         } else if let Some(more) = more {
             more.remove(&entry);
         }
+        // Keep no empty sets.
         if self.instanced_entries.get(&node).is_some_and(BTreeSet::is_empty) {
             self.instanced_entries.remove(&node);
         }
@@ -319,11 +336,13 @@ impl Hierarchy {
         for node in std::mem::take(&mut self.pending.switches) {
             let Some(slot) = tree.nodes.get(node) else { continue };
             let core = &tree.cores[slot.core].core;
+            // Walk the children with their index; below any other core all of them are selected.
             let (mut child, mut child_index) = (slot.first_child, 0);
             while let Some(key) = child {
                 let selected = if let Core::Switch(switch) = core { switch.shows(child_index) } else { true };
                 let entries: Vec<usize> = self.entries(key).collect();
                 for entry in entries {
+                    // Where an instance shows the child, its entry is not below the switch.
                     let own = &mut self.properties[entry];
                     if !own.is_instance_root && own.selected != selected {
                         own.selected = selected;
@@ -356,6 +375,7 @@ impl SceneStores<'_> {
                 stack.pop();
                 continue;
             }
+            // Count the nodes of this subtree, with the known counts of its targets.
             let (mut count, before) = (0u64, stack.len());
             let mut next = Some(node);
             while let Some(below) = next {
@@ -367,6 +387,7 @@ impl SceneStores<'_> {
                 }
                 next = self.after(node, below);
             }
+            // No target was missing: the count is final.
             if stack.len() == before {
                 counts.insert(node, count);
                 stack.pop();
@@ -380,6 +401,7 @@ impl SceneStores<'_> {
         if let Some(child) = self.nodes[node].first_child {
             return Some(child);
         }
+        // Ascend to the first node with a next sibling.
         while node != top {
             let slot = &self.nodes[node];
             if slot.next_sibling.is_some() {

@@ -209,6 +209,7 @@ impl Hierarchy {
     /// # Panics
     /// If there is no entry at the index.
     pub fn path(&self, entry: usize) -> NodePath {
+        // Ascend until the entry is outside all instances, and collect the instance nodes on the way.
         let mut instances = Vec::new();
         let mut above = entry;
         while self.properties[above].is_in_instance {
@@ -227,10 +228,12 @@ impl Hierarchy {
     /// # Panics
     /// If there is no entry at the index.
     pub fn children(&self, entry: usize) -> impl Iterator<Item = usize> {
+        // In the entry's own range, each child begins where the subtree of the one before ends.
         let end = self.subtree_ends[entry] as usize;
         let within =
             std::iter::successors(Some(entry + 1), |&child| self.subtree_ends.get(child).map(|&end| end as usize));
         let within = within.take_while(move |&child| child < end).filter(|&child| !self.is_removed(child));
+        // The others were appended.
         within.chain(self.appended_below(entry..entry + 1))
     }
 
@@ -239,6 +242,7 @@ impl Hierarchy {
     /// # Panics
     /// If there is no entry at the index.
     pub fn subtree(&self, entry: usize) -> Vec<Range<usize>> {
+        // Breadth-first: append the ranges found below each range in the list.
         let own = entry..self.subtree_ends[entry] as usize;
         let mut ranges = Vec::from([own]);
         let mut next = 0;
@@ -309,8 +313,10 @@ impl Hierarchy {
 
     /// Checks the arrays for consistency, and compares every entry bit for bit with a hierarchy built from scratch.
     pub(super) fn validate(&self, tree: SceneStores<'_>) -> Result<()> {
+        // 1. Build a second hierarchy from scratch.
         let mut fresh = Self::default();
         fresh.update(tree)?;
+        // 2. Check each entry: its occurrence is unique, its node finds it, and it lies in its parent's subtree.
         let mut entries: HashMap<NodePath, usize> = HashMap::new();
         for entry in (0..self.nodes.len()).filter(|&entry| !self.nodes[entry].is_null()) {
             let node = self.nodes[entry];
@@ -329,6 +335,8 @@ impl Hierarchy {
                 )?;
             }
         }
+        // 3. Compare the resolved values by occurrence, since indices differ; the matrices as bits, so that equal NaN
+        //    agree.
         let bits = |resolved: &ResolvedEntry| resolved.world_from_local.to_cols_array().map(f64::to_bits);
         for (index, resolved) in fresh.resolved.iter().enumerate() {
             let path = fresh.path(index);
@@ -340,6 +348,7 @@ impl Hierarchy {
             });
             require_invariant(same, path.node, "its entry differs from one built from scratch")?;
         }
+        // 4. No entry may be left over.
         entries.keys().next().map_or(Ok(()), |path| {
             require_invariant(false, path.node, "it has an entry that one built from scratch has not")
         })

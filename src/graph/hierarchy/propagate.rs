@@ -34,12 +34,15 @@ impl ResolvedEntry {
 impl Hierarchy {
     /// Recomputes the inherited values of the subtrees of all dirty entries, each entry once.
     pub(super) fn propagate_dirty(&mut self) {
+        // Collect the subtrees below the dirty entries as ascending, disjoint ranges.
         let mut dirty = std::mem::take(&mut self.pending.dirty);
         let ranges = self.subtrees_from(dirty.drain());
         self.pending.dirty = dirty;
+        // World matrices in these ranges may change, and bounds with them.
         if let Some(boxes) = &mut self.subtree_bounds {
             ranges.iter().for_each(|range| boxes.mark_range(range.clone()));
         }
+        // Resolve the ranges in batches: a range whose parent lies in an earlier one waits for the next batch.
         let mut rest = &ranges[..];
         while !rest.is_empty() {
             let (batch, after) = rest.split_at(self.independent_prefix(rest));
@@ -54,6 +57,7 @@ impl Hierarchy {
         if self.appended_subtrees.is_empty() {
             return ranges.len();
         }
+        // Binary search: the ranges are ascending and disjoint.
         let is_in = |parent: usize, before: &[Range<usize>]| {
             let following = before.partition_point(|range| range.end <= parent);
             before.get(following).is_some_and(|range| range.start <= parent)
@@ -69,6 +73,7 @@ impl Hierarchy {
             let mut all = self.all_entries();
             ranges.iter().for_each(|range| all.resolve(range.clone(), |_| ResolvedEntry::ROOT_INHERITANCE));
         } else {
+            // About 8 jobs per thread, for load balance.
             self.propagate_parallel(ranges, work / (8 * rayon::current_num_threads()) + 1);
         }
     }
@@ -161,6 +166,7 @@ impl PropagationJob {
             if next - end > job_work {
                 break;
             }
+            // Copy the values of a parent before the job's first entry, once for the subtrees in a row that share it.
             let parent = hierarchy.parents[end];
             if parent != self.last_inherited_parent && (parent as usize) < self.first {
                 self.last_inherited_parent = parent;
@@ -194,6 +200,7 @@ impl EntrySlice<'_> {
             let inherited = if parent == last.0 {
                 last.1
             } else {
+                // Look the parent up in the slice; ask the caller for one outside it.
                 let known = (parent as usize).checked_sub(self.first).and_then(|i| self.resolved.get(i));
                 known.copied().unwrap_or_else(|| inherited_from(parent))
             };

@@ -66,6 +66,7 @@ impl SubtreeBounds {
         // On each level, add the boxes at both ends that no whole block covers, and go on with the blocks between them
         // one level up.
         for level in &self.levels {
+            // The blocks that lie wholly in the range.
             let inner = range.start.div_ceil(FAN_OUT)..range.end / FAN_OUT;
             if inner.is_empty() {
                 break;
@@ -88,12 +89,15 @@ impl Hierarchy {
     /// The box around the boxes of all geometry at and below an entry, including hidden geometry. O(entries changed
     /// since the last call + log n); O(n) the first time.
     pub(in crate::graph) fn world_bounds(&mut self, tree: SceneStores<'_>, entry: usize) -> Bounds {
+        // Take the bounds out while they are updated, since the closures borrow the hierarchy; the first time all
+        // blocks are dirty.
         let mut boxes = self.subtree_bounds.take().unwrap_or_else(|| {
             let mut boxes = SubtreeBounds::default();
             boxes.mark_range(0..self.nodes.len());
             boxes
         });
         boxes.update(self.nodes.len(), |entry| self.entry_bounds(tree, entry));
+        // Unite the boxes of the entry's own range and of the ranges appended below it.
         let entry_box = |entry| self.entry_bounds(tree, entry);
         let ranges = self.subtree(entry).into_iter();
         let bounds = ranges.map(|range| boxes.range(range, entry_box)).fold(Bounds::EMPTY, Bounds::union);
@@ -110,6 +114,7 @@ impl Hierarchy {
     }
 
     fn entry_bounds(&self, tree: SceneStores<'_>, entry: usize) -> Bounds {
+        // Removed entries and nodes without geometry have an empty box.
         let node = tree.nodes.get(self.nodes[entry]);
         let geometry = node.and_then(|node| tree.cores[node.core].core.geometry());
         geometry.map_or(Bounds::EMPTY, |geometry| {

@@ -16,6 +16,7 @@ const MAX_SKIPPED_SLOTS: usize = 1 << 20;
 /// Checks everything that must hold in the scene after the delta. Returns the nodes of the delta, each after its
 /// previous sibling.
 pub(super) fn check(scene: &Scene, delta: &Delta) -> Result<Vec<NodeKey>> {
+    // Check each object by itself, against the scene as it will be.
     let after = SceneAfter { scene, delta };
     check_order(scene, delta)?;
     for (object, state) in delta.objects() {
@@ -24,6 +25,7 @@ pub(super) fn check(scene: &Scene, delta: &Delta) -> Result<Vec<NodeKey>> {
             None => after.check_removal(object)?,
         }
     }
+    // Then what concerns several of them: references, sibling order, cycles.
     after.check_root()?;
     after.check_references()?;
     after.check_siblings()?;
@@ -108,6 +110,7 @@ impl SceneAfter<'_> {
     }
 
     fn check_state(&self, object: ObjectKey, state: &ObjectState) -> Result<()> {
+        // The state fits the key, the key can be used, and everything that it refers to exists.
         if !state.matches_kind(object) {
             return Err(mismatch(object, DeltaFault::KindMismatch));
         }
@@ -115,6 +118,7 @@ impl SceneAfter<'_> {
             self.check_key(object)?;
         }
         state.references().into_iter().try_for_each(|used| self.require_object(used))?;
+        // Check the values; a geometry that the scene has already was validated before.
         match state {
             ObjectState::Node(node) => self.check_node(object, node),
             ObjectState::Core(core) => check_core(core),
@@ -134,12 +138,16 @@ impl SceneAfter<'_> {
     /// Checks that a new object's key can be used: its slot is free and within the limit.
     fn check_key(&self, object: ObjectKey) -> Result<()> {
         let (slot, occupant, slot_count) = self.scene.slot_occupancy(object);
+        // Slot 0 is never used.
         if slot == 0 || slot >= u32::MAX as usize {
             return Err(mismatch(object, DeltaFault::InvalidKey));
         }
+        // The slot is vacant, or this delta vacates it.
         if occupant.is_some_and(|occupant| self.has(occupant)) {
             return Err(mismatch(object, DeltaFault::SlotTaken));
         }
+        // The slot is one that the scene has or the snapshot's scene had, or at most a fixed number beyond the live
+        // objects.
         let issued = self.delta.snapshot_generations.as_ref().map_or(0, |generations| match object {
             ObjectKey::Node(_) => generations.nodes.len(),
             ObjectKey::Core(_) => generations.cores.len(),
@@ -165,6 +173,7 @@ impl SceneAfter<'_> {
             (None, None) if is_root => Ok(()),
             (_, _) if is_root => Err(Error::Root { attempt: RootEdit::Move }),
             (None, _) => Err(mismatch(object, DeltaFault::NoParent)),
+            // Parent and previous sibling exist, and the sibling has the same parent.
             (Some(parent), previous) => {
                 self.require_object(parent.into())?;
                 let Some(previous) = previous else { return Ok(()) };
@@ -185,6 +194,7 @@ impl SceneAfter<'_> {
         if node == self.scene.root {
             return Err(Error::Root { attempt: RootEdit::Remove });
         }
+        // A child stays if the delta does not name it.
         let mut children = self.scene.children(node).into_iter().flatten();
         match children.find(|&child| self.delta.get(child.into()).is_none()) {
             Some(child) => Err(mismatch(child, DeltaFault::ChildStays)),
@@ -286,6 +296,7 @@ impl SceneAfter<'_> {
     /// The error of the cycle that `path` closes at `first`, one of its nodes: it names a link that the delta adds,
     /// which each cycle has.
     fn cycle_error(&self, path: &[NodeKey], first: NodeKey) -> Error {
+        // List the links of the cycle, each node with its parent, those that are new first.
         let cycle = path.iter().copied().skip_while(|&node| node != first);
         let mut links: Vec<(NodeKey, NodeKey)> = cycle.clone().zip(cycle.skip(1).chain([first])).collect();
         links.sort_by_key(|&(node, parent)| self.has_old_link(node, parent));
@@ -305,6 +316,7 @@ impl SceneAfter<'_> {
         for (object, state) in self.delta.objects() {
             match (object, state) {
                 (ObjectKey::Node(key), Some(ObjectState::Node(state))) => {
+                    // The link to the parent is new, or that from its core to the node that it instances.
                     let old = self.scene.nodes.get(key);
                     if old.is_none_or(|old| old.parent != state.parent) {
                         children.push(key);

@@ -180,6 +180,7 @@ impl Scene {
         let Some(generations) = &delta.snapshot_generations else {
             return self.apply_objects(delta);
         };
+        // A snapshot removes what it does not name: complete it with those objects as absent.
         let others = self.objects().filter(|&object| delta.get(object).is_none()).map(|object| (object, None));
         let others: Vec<_> = others.collect();
         if others.is_empty() {
@@ -188,6 +189,7 @@ impl Scene {
             let complete = Delta::new(delta.objects.iter().cloned().chain(others));
             self.apply_objects(&Delta { snapshot_generations: delta.snapshot_generations.clone(), ..complete })?;
         }
+        // Never issue a key that the other scene has issued.
         self.nodes.raise_generations(&generations.nodes);
         self.cores.raise_generations(&generations.cores);
         self.geometries.raise_generations(&generations.geometries);

@@ -106,6 +106,7 @@ impl Scene {
     pub fn load(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
         let mut replay = Replay::open(path)?;
+        // Apply the snapshot in frame 0, then the changes of a recording; the last state remains.
         let mut scene = Self::new();
         if !replay.apply_next(&mut scene)? {
             return Err(Error::SceneFile { path: path.to_owned(), frame: 0, source: SceneFileError::Truncated });
@@ -164,6 +165,7 @@ pub(super) fn write_frame(file: &mut impl Write, delta: &Delta) -> io::Result<()
 
 /// The next frame; `None` at the end of the file.
 pub(super) fn read_frame(file: &mut impl Read) -> Result<Option<Delta>, ReadError> {
+    // Read the head: the length of the body, and its checksum.
     let Some(head) = read_array::<12>(file)? else { return Ok(None) };
     let length = u64::from(u32_at(&head, 0)) | u64::from(u32_at(&head, 4)) << 32;
     let expected = u32_at(&head, 8);
@@ -174,10 +176,12 @@ pub(super) fn read_frame(file: &mut impl Read) -> Result<Option<Delta>, ReadErro
     if (body.len() as u64) < length {
         return Err(SceneFileError::Truncated.into());
     }
+    // Check the body before it is decoded.
     let found = crc32fast::hash(&body);
     if found != expected {
         return Err(SceneFileError::Checksum { expected, found }.into());
     }
+    // Decode it; bytes left over mean that it is not what was written.
     match postcard::take_from_bytes(&body) {
         Ok((delta, [])) => Ok(Some(delta)),
         Ok((_, rest)) => Err(SceneFileError::Encoding { cause: format!("{} bytes are left over", rest.len()) }.into()),

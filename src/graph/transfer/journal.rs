@@ -100,6 +100,7 @@ impl Scene {
     /// Those of `edit`. Then the scene is as it was, except for its [`revision`](Self::revision).
     pub fn transaction<T>(&mut self, edit: impl FnOnce(&mut Self) -> Result<T>) -> Result<T> {
         self.journal.transactions.push(PriorStates::new());
+        // The guard rolls back when it is dropped, by `?` or by a panic, unless it is marked as done.
         let mut transaction = Transaction { scene: self, is_done: false };
         let value = edit(transaction.scene)?;
         transaction.is_done = true;
@@ -130,6 +131,7 @@ impl Journal {
         if done.is_empty() {
             return;
         }
+        // The outer record is older: it takes precedence.
         if let Some(outer) = self.innermost() {
             for (object, state) in done {
                 outer.entry(object).or_insert(state);
@@ -141,6 +143,7 @@ impl Journal {
 impl Scene {
     /// Restores the states of objects, without recording it.
     pub(super) fn restore(&mut self, before: &Delta) {
+        // Without its journal the scene records nothing.
         let journal = std::mem::take(&mut self.journal);
         self.write_states(before, &order_of_siblings(before).0);
         self.journal = journal;

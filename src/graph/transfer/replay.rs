@@ -49,11 +49,13 @@ impl Recorder {
     /// [`Error::Io`]: most often the folder does not exist or may not be written to.
     pub fn new(path: impl AsRef<Path>, scene: &mut Scene) -> Result<Self> {
         let path = path.as_ref().to_owned();
+        // Create the file with its header.
         let started = File::create(&path).and_then(|file| {
             let mut file = BufWriter::new(file);
             write_header(&mut file).map(|()| file)
         });
         let file = started.map_err(|error| Error::io(&path, error))?;
+        // The first read of a new cursor is a snapshot: frame 0.
         let mut recorder = Self { path, file, cursor: ChangeCursor::default() };
         recorder.record(scene)?;
         Ok(recorder)

@@ -169,6 +169,7 @@ impl Scene {
 
     /// Swaps the states stored in the group with the scene's current ones.
     fn swap_states(&mut self, group: UndoGroup) -> UndoGroup {
+        // Save the current states of the same objects before they are overwritten.
         let objects = group.states.objects().map(|(object, _)| object);
         let states = Delta::new(objects.map(|object| (object, self.state(object))));
         self.restore(&group.states);

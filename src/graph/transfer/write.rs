@@ -135,6 +135,7 @@ impl Scene {
                 self.record(key, Change::ADDED);
             }
             Some(old) if old.value == *material => {}
+            // The old state was saved, and its textures released, in step 1 of `write_states`.
             Some(_) => {
                 self.acquire_textures(material);
                 self.materials[key].value = material.clone();
@@ -151,6 +152,7 @@ impl Scene {
                 self.geometries.insert_at(key, UseCounted::new(stored));
                 self.record(key, Change::ADDED);
             }
+            // Equal content keeps its version, so that data derived from it stay valid.
             Some(old) if old.value.geometry.has_equal_content(geometry) => {}
             Some(_) => self.replace_geometry(key, geometry.clone()),
         }
@@ -164,6 +166,7 @@ impl Scene {
                 self.record(key, Change::ADDED);
             }
             Some(old) if old.core == *core => {}
+            // The uses of the old core were ended in step 1 of `write_states`.
             Some(_) => {
                 self.acquire_assets(key, core);
                 self.replace_core(key, core.clone());
@@ -183,6 +186,7 @@ impl Scene {
             self.record(key, Change::ADDED);
             return;
         };
+        // Find out what differs.
         let mut change = Change::empty();
         change.set(Change::CORE, node.core != state.core);
         change.set(Change::MASK, node.mask != state.mask);
@@ -192,9 +196,11 @@ impl Scene {
             return;
         }
         self.save_prior_state(key);
+        // Write the new values.
         let node = &mut self.nodes[key];
         (node.mask, node.visible) = (state.mask, state.visible);
         node.name.clone_from(&state.name);
+        // The use of the old core was ended in step 1 of `write_states`, and that core may be removed by now.
         if change.contains(Change::CORE) {
             self.link_user(key, state.core);
             self.core_changed(key, HierarchyEffects::ANY);
@@ -207,11 +213,13 @@ impl Scene {
     /// Links a node to its parent and previous sibling.
     fn link_node(&mut self, key: NodeKey, state: &NodeState) {
         let Some(parent) = state.parent else { return };
+        // Leave a node alone that is in its place.
         let node = &self.nodes[key];
         let old_parent = node.parent;
         if (old_parent, node.previous_sibling) == (state.parent, state.previous_sibling) {
             return;
         }
+        // Move it. Only another parent moves its entries; `children_changed` tells switches of the new order.
         self.unlink_child(key);
         self.link_child_after(key, parent, state.previous_sibling);
         if old_parent != Some(parent) {

@@ -133,6 +133,7 @@ mod tests {
     fn every_simd_level_matches_the_kernel() {
         let mut random = fastrand::Rng::with_seed(4);
         let mut vector = |scale: f32| (Vec3::new(random.f32(), random.f32(), random.f32()) * 2.0 - 1.0) * scale;
+        // Small triangles all over a cube.
         let corners: Vec<Vec3> = (0..600)
             .flat_map(|_| {
                 let (at, a, b) = (vector(1.0), vector(0.2), vector(0.2));
@@ -176,6 +177,7 @@ mod tests {
             })
             .collect();
         let scene = KernelScene::with_traversal(compiler.arrays(), Traversal::Wide);
+        // Run the three queries at one SIMD level.
         let trace = |simd_level: Option<Level>| {
             let mut tracer = PacketTracer { scene: &scene, simd_level, scratch: bytemuck::zeroed_box() };
             let (mut hits, mut occluded) = (vec![HitRecord::MISS; rays.len()], vec![false; rays.len()]);
@@ -186,6 +188,7 @@ mod tests {
             (hits, occluded, light)
         };
         assert!(scene.instances.iter().any(|instance| is_layered(instance.flags)));
+        // The scalar kernel gives the reference; check that enough of its rays hit, miss and are dimmed.
         let expected = trace(None);
         let dimmed = expected.2.iter().filter(|light| light.x > 0.0 && light.x < 1.0).count();
         assert!(dimmed > 50, "{dimmed}");
@@ -193,6 +196,7 @@ mod tests {
         assert!((300..2_400).contains(&occluded), "{occluded}");
         let with_short_directions = expected.1[2_000..].iter().filter(|&&hit| hit).count();
         assert!(with_short_directions > 100, "{with_short_directions}");
+        // Compare every level that this processor has.
         let level = Level::new();
         #[cfg(target_arch = "x86_64")]
         let all = [level.as_avx512().map(Level::Avx512), level.as_avx2().map(Level::Avx2)];

@@ -97,6 +97,7 @@ impl Tracer for Cpu {
         let scene = KernelScene::with_traversal(arrays, Traversal::Wide);
         let params = &request.params;
         let count = FrameBuffer::check_size(params.width, params.height)?;
+        // Fit the array of pixels to the frame.
         (self.width, self.height, self.aovs) = (params.width, params.height, request.aovs);
         resize(&mut self.pixels, count);
         if count == 0 {
@@ -192,6 +193,7 @@ fn columns_of_tile(width: u32, left: u32) -> u32 {
 /// Index in [`Cpu::pixels`] of the pixel in column `x` and row `y`.
 fn pixel_index([width, height]: [u32; 2], x: u32, y: u32) -> usize {
     let [left, top] = [x, y].map(|x| x / TILE_SIDE * TILE_SIDE);
+    // Tiles are stored one after another: count the rows of tiles above, then the tiles to the left.
     let above = top as usize * width as usize;
     let before = left as usize * rows_of_tile(height, top) as usize;
     above + before + ((y - top) * columns_of_tile(width, left) + x - left) as usize

@@ -112,6 +112,7 @@ impl<'a, S: Simd> NodeTest<'a, S> for Coherent<'a, S> {
             simd,
             rays,
             levels: &mut scratch.coherent,
+            // Along a positive axis the greatest origin enters first and the least leaves last; else the reverse.
             origin_bounds: map_axes(
                 [0, 1, 2],
                 #[inline(always)]
@@ -121,6 +122,7 @@ impl<'a, S: Simd> NodeTest<'a, S> for Coherent<'a, S> {
                     if octant >> axis & 1 == 0 { greatest.combine(least) } else { least.combine(greatest) }
                 },
             ),
+            // Either end of the range of reciprocals may give the bound, by the sign of the distance.
             scale_bounds: [
                 map_axes(
                     [0, 1, 2],
@@ -134,6 +136,7 @@ impl<'a, S: Simd> NodeTest<'a, S> for Coherent<'a, S> {
                 ),
             ],
             near_far_shuffles: near_far_shuffles(simd, octant),
+            // The smallest interval that holds those of all rays.
             t_min: reduce_min(load(simd, rays.t_min)),
             t_max: reduce_max(load(simd, *t_max)),
         }
@@ -165,6 +168,7 @@ impl<'a, S: Simd> NodeTest<'a, S> for Coherent<'a, S> {
     fn active_lanes(&self, node: &WideNode, depth: usize, slot: usize, t_max: &F32Lanes) -> u64 {
         let (simd, rays) = (self.simd, self.rays);
         let planes = &self.levels[depth].planes;
+        // Distances of each ray to the child's planes, which were decoded when the node was tested.
         let t = map_axes(
             [0, 1, 2],
             #[inline(always)]

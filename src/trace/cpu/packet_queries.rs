@@ -445,17 +445,11 @@ mod tests {
         arrays
     }
 
-    /// A pseudo-random number below `end`.
-    fn random(state: &mut u64, end: u32) -> u32 {
-        *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (*state >> 33) as u32 % end
-    }
-
     /// Offers random hits to a packet and, lane by lane, to its queries.
     fn packet_matches_lanes<S: Simd, P: PacketQuery<Query: PartialEq + Debug>>(simd: S, new: fn(f32) -> P::Query) {
-        let (state, mut accepted) = (&mut 1, 0);
-        let lanes_below = |state: &mut u64, end, scale: f32| -> F32Lanes {
-            std::array::from_fn(|_| random(state, end) as f32 * scale)
+        let (mut random, mut accepted) = (fastrand::Rng::with_seed(1), 0);
+        let lanes_below = |random: &mut fastrand::Rng, end: u32, scale: f32| -> F32Lanes {
+            std::array::from_fn(|_| random.u32(..end) as f32 * scale)
         };
         for material in [MaterialFlags::empty(), MaterialFlags::MASK, MaterialFlags::BLEND] {
             for flags in (0..32).map(InstanceFlags::from_bits_retain) {
@@ -465,19 +459,19 @@ mod tests {
                 let mut packet = P::new(f32x16::splat(simd, 4.0));
                 let mut queries = [new(4.0); LANES];
                 for _ in 0..20 {
-                    let index = random(state, 2);
+                    let index = random.u32(..2);
                     let geometry =
                         InstanceGeometry { scene, index, instance: &scene.instances[index as usize], nodes: &[] };
                     // Few distances, so that there are ties.
                     let hits = TriangleHits {
-                        t: load(simd, lanes_below(state, 5, 1.0)),
-                        u: load(simd, lanes_below(state, 9, 0.0625)),
-                        v: load(simd, lanes_below(state, 9, 0.0625)),
-                        back: u64::from(random(state, 1 << 16)),
+                        t: load(simd, lanes_below(&mut random, 5, 1.0)),
+                        u: load(simd, lanes_below(&mut random, 9, 0.0625)),
+                        v: load(simd, lanes_below(&mut random, 9, 0.0625)),
+                        back: u64::from(random.u32(..1 << 16)),
                     };
                     let in_range = hits.t.simd_le(load(simd, *packet.t_max())).to_bitmask();
-                    let lanes = in_range & u64::from(random(state, 1 << 16));
-                    let triangle = random(state, 3);
+                    let lanes = in_range & u64::from(random.u32(..1 << 16));
+                    let triangle = random.u32(..3);
                     packet.accept_hits(simd, &geometry, triangle, lanes, &hits);
                     for lane in lanes_of(lanes) {
                         let before = queries[lane];

@@ -62,6 +62,7 @@ fn deinterleave<S: Simd>(v: [f32x16<S>; 8]) -> [f32x16<S>; 8] {
 #[inline(always)]
 pub(super) fn reciprocals<S: Simd>(simd: S, directions: [f32x16<S>; 3]) -> [f32x16<S>; 3] {
     let lengths = abs(directions);
+    // Bound components away from 0, as `slab_ray` does.
     let min_length = (max_component(lengths) * MIN_RELATIVE_COMPONENT).max(MIN_COMPONENT);
     map_axes(
         [0, 1, 2],

@@ -179,6 +179,7 @@ impl<S: Simd, Q: PacketQuery> NodeVisitor for SingleTraversal<'_, '_, S, Q> {
     #[inline(always)]
     fn visit_leaf(&mut self, _: &WideNode, _: usize, _: usize, triangles: PrimitiveRange) -> bool {
         let t_max_shortened = intersect_leaf(self.simd, self.geometry, self.rays, self.lane, triangles, self.query);
+        // Shorten the interval for the node tests that follow.
         if t_max_shortened {
             self.t_max = f32x8::splat(self.simd, self.query.t_max());
             self.ray_interval = ray_interval(splat_lane(self.simd, &self.rays.t_min, self.lane), self.t_max);
@@ -200,6 +201,7 @@ fn intersect_leaf<S: Simd>(
     let (mut first, mut count) =
         (geometry.instance.first_triangle + triangles.first_primitive(), triangles.primitive_count());
     let mut t_max_shortened = false;
+    // Four triangles at a time; the last call takes the rest.
     while count > 4 {
         t_max_shortened |= intersect_four_triangles(simd, geometry, rays, lane, first, 4, query);
         (first, count) = (first + 4, count - 4);
@@ -248,6 +250,7 @@ fn intersect_four_triangles<S: Simd>(
         splat_lane(simd, &rays.t_to_sheared, lane),
         #[inline(always)]
         |t, weights| {
+            // Permute the vertices back from shear axes.
             let [x, y, z] = map_axes(
                 inverse_shear_axes(axes),
                 #[inline(always)]

@@ -160,6 +160,7 @@ pub(super) fn first_four<'a>(triangles: &'a [Triangle], padded: &'a mut [Triangl
     match triangles.first_chunk() {
         Some(four) => four,
         None => {
+            // Fewer than four to the end of the array: repeat the last one.
             *padded = std::array::from_fn(|i| triangles[i.min(triangles.len() - 1)]);
             padded
         }
@@ -183,6 +184,7 @@ pub(super) fn gather_corners<S: Simd>(simd: S, triangles: &[Triangle; 4], axes: 
         let [x, y, t] = x86::gather_corners_avx512(avx512, bytemuck::cast_ref(triangles), axes);
         return [x.simd_into(simd), y.simd_into(simd), t.simd_into(simd)];
     }
+    // Without AVX-512: gather the first vertices of all four, the second, the third; four lanes stay unused.
     let words: &[[f32; 12]; 4] = bytemuck::cast_ref(triangles);
     map_axes(
         SHEAR_AXES[axes % SHEAR_AXES.len()],
@@ -224,6 +226,7 @@ mod x86 {
         pub(super) fn gather_corners_avx512(avx512: Avx512, words: &[[f32; 16]; 3], axes: usize) -> [[f32; 16]; 3] {
             let load = |i: usize| -> __m512 { f32x16::simd_from(avx512, words[i]).into() };
             let [a, b, c] = [load(0), load(1), load(2)];
+            // Select 16 of 48 words by two permutations: from a and b, then from the result and c.
             let along = |[first, second]: &[[u32; 16]; 2]| {
                 let first = fearless_simd::u32x16::simd_from(avx512, *first).into();
                 let second = fearless_simd::u32x16::simd_from(avx512, *second).into();

@@ -19,6 +19,7 @@ pub(super) fn near_far_shuffles<S: Simd>(simd: S, octant: usize) -> [u8x16<S>; 3
         let mut i = 0;
         while i < 8 * 3 * 16 {
             let (octant, axis, byte) = (i / 48, i / 16 % 3, i % 16);
+            // Along a negative axis the greatest plane is the near one: swap the halves.
             shuffles[octant][axis][byte] = if octant >> axis & 1 == 0 { byte as u8 } else { byte as u8 ^ 8 };
             i += 1;
         }
@@ -40,6 +41,7 @@ pub(super) fn child_planes<S: Simd>(simd: S, node: &WideNode, axis: usize, shuff
 #[inline(always)]
 pub(super) fn grid_step<S: Simd>(simd: S, node: &WideNode) -> [f32x16<S>; 3] {
     let exponents = u32x16::splat(simd, u32::from_le_bytes(node.exponents));
+    // Move the axis's byte to the exponent field of an f32.
     let step = |bits: u32x16<S>| (bits & 0xff << 23).bitcast::<f32x16<S>>();
     [step(exponents << 23), step(exponents << 15), step(exponents << 7)]
 }

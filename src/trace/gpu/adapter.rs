@@ -64,7 +64,9 @@ impl GpuOptions {
 /// [`or_better_values_from`](wgpu::Limits::or_better_values_from).
 pub fn required_limits(adapter: &wgpu::Adapter) -> wgpu::Limits {
     let offered = adapter.limits();
+    // Start from wgpu's downlevel defaults, or less where the adapter offers less.
     let mut limits = wgpu::Limits::downlevel_defaults().or_worse_values_from(&offered);
+    // Take all the storage bindings and the greatest sizes that it offers.
     limits.max_storage_buffers_per_shader_stage = offered.max_storage_buffers_per_shader_stage;
     limits.max_storage_textures_per_shader_stage = offered.max_storage_textures_per_shader_stage;
     limits.max_buffers_and_acceleration_structures_per_shader_stage =
@@ -97,6 +99,7 @@ pub(super) fn open(options: &GpuOptions) -> Result<Context> {
             Err(other) => refusals.push(format!("{}: {other}", describe(&adapter.get_info()))),
         }
     }
+    // No adapter at all: say what to install.
     if refusals.is_empty() {
         refusals.push(format!(
             "no driver offers an adapter through {:?}; install your GPU's Vulkan driver, or mesa-vulkan-drivers for a \
@@ -119,6 +122,7 @@ pub(super) fn describe(info: &AdapterInfo) -> String {
 /// Checks the limits of a device; the error names the first that is too low for the kernel.
 pub(super) fn check_limits(limits: &wgpu::Limits) -> Result<()> {
     let workgroups = batch::MAX_WORKGROUPS.max(frame::max_workgroups(limits));
+    // Compare each limit with what the kernel uses.
     for (resource, needed, limit) in [
         (Resource::StorageBuffers, STORAGE_BUFFERS, limits.max_storage_buffers_per_shader_stage),
         (Resource::StorageTextures, 3, limits.max_storage_textures_per_shader_stage),

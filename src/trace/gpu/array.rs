@@ -115,10 +115,12 @@ fn join_near(ranges: &[Range<usize>]) -> Vec<Range<usize>> {
 /// time of one write per range.
 fn scatter(context: &Context, buffer: &wgpu::Buffer, bytes: &[u8], ranges: &[Range<usize>]) -> Result<()> {
     for ranges in ranges.chunks(BYTES_PER_SUBMISSION / SMALL_RANGE_BYTES) {
+        // A single range needs no scratch buffer.
         if let [range] = ranges {
             write(context, buffer, bytes, range.clone());
             continue;
         }
+        // Gather the bytes in a scratch buffer.
         let mut gathered = Vec::with_capacity(ranges.iter().map(ExactSizeIterator::len).sum());
         for range in ranges {
             gathered.extend_from_slice(&bytes[range.clone()]);
@@ -126,6 +128,7 @@ fn scatter(context: &Context, buffer: &wgpu::Buffer, bytes: &[u8], ranges: &[Ran
         let usage = BufferUsages::COPY_DST | BufferUsages::COPY_SRC;
         let scratch = context.buffer("changes", gathered.len() as u64, usage);
         write(context, &scratch, &gathered, 0..gathered.len());
+        // Copy each range to its place on the GPU.
         context.submit(UPLOADING, |encoder| {
             let mut from = 0;
             for range in ranges {

@@ -151,6 +151,7 @@ impl<'a> RayBuffers<'a> {
             (Resource::RayBinding, Resource::RayBuffer, self.rays, size_of::<RayRecord>()),
             (Resource::ResultBinding, Resource::ResultBuffer, self.results, result_size),
         ] {
+            // Require room for every ray, within one binding, in a storage buffer.
             let needed = u64::from(self.count) * stride as u64;
             require_within(binding, needed, limit)?;
             require_within(size, needed, buffer.size())?;

@@ -87,18 +87,21 @@ impl Context {
         take: impl FnOnce(&[u8]) -> T,
     ) -> Result<T> {
         let failed = |message: String| Error::Gpu { during, message };
+        // Request the mapping; its result arrives while the device is polled.
         let mapped = Arc::new(OnceLock::new());
         let on_mapped = Arc::clone(&mapped);
         let slice = staging.slice(..size);
         slice.map_async(wgpu::MapMode::Read, move |result| {
             let _ = on_mapped.set(result);
         });
+        // Wait for the GPU.
         self.wait(during)?;
         match mapped.get() {
             Some(Ok(())) => {}
             Some(Err(error)) => return Err(failed(error.to_string())),
             None => return Err(failed("the device did not answer".into())),
         }
+        // Hand over the bytes, and unmap the buffer for the next copy.
         let view = slice.get_mapped_range().map_err(|error| failed(error.to_string()))?;
         let taken = take(&view);
         drop(view);

@@ -121,14 +121,17 @@ impl FrameTextures {
                 view_formats: &[],
             })
         };
+        // Outputs that are not requested still need a texture to bind.
         let aov_size = if aovs { [width, height] } else { [1, 1] };
         let color = texture("color", TextureFormat::Rgba32Float, [width, height]);
         let normal_depth = texture("normal and depth", TextureFormat::Rgba32Float, aov_size);
         let ids = texture("ids", TextureFormat::Rgba32Uint, aov_size);
+        // Make room for the parameters of the lowest possible bands, and of the empty dispatch.
         let stride =
             size_of::<FrameParams>().next_multiple_of(context.limits.min_uniform_buffer_offset_alignment as usize);
         let slots = 1 + height.div_ceil(WORKGROUP_ROWS) as usize;
         let params = context.buffer("frame", (slots * stride) as u64, BufferUsages::UNIFORM | BufferUsages::COPY_DST);
+        // Bind parameters and outputs.
         let view = |texture: &wgpu::Texture| texture.create_view(&wgpu::TextureViewDescriptor::default());
         let outputs = [&view(&color), &view(&normal_depth), &view(&ids)];
         let bind_group = bind(context, layout, &params, outputs);
@@ -190,6 +193,7 @@ impl FrameTextures {
     /// Writes the parameters of each dispatch. Slot 0: an empty dispatch (`first_row` = height); then one slot per
     /// band.
     fn write_params(&self, context: &Context, request: &FrameRequest) -> Vec<Band> {
+        // Choose the height of a band by the rays per pixel.
         let rows = band_rows(self.width, max_rays_of_pixel(request));
         let mut bytes = Vec::new();
         let mut add_slot = |first_row| {
@@ -198,6 +202,7 @@ impl FrameTextures {
             bytes.resize(offset + self.stride, 0);
             offset as u32
         };
+        // Add the empty dispatch, then the bands.
         add_slot(self.height);
         let bands = (0..self.height).step_by(rows as usize).map(|first_row| {
             let rows = rows.min(self.height - first_row);
@@ -207,6 +212,7 @@ impl FrameTextures {
             }
         });
         let bands = bands.collect();
+        // Upload all slots in one write.
         context.queue.write_buffer(&self.params, 0, &bytes);
         bands
     }
@@ -239,6 +245,7 @@ impl FrameTextures {
                 context
                     .submit(READING, |encoder| copy_rows(encoder, texture, y, rows, &staging, padded_bytes as u32))?;
                 context.read(READING, &staging, padded_bytes * u64::from(rows), |bytes| {
+                    // Drop the padding of each row.
                     for row in bytes.chunks_exact(padded_bytes as usize) {
                         pixels.extend(
                             row[..row_bytes as usize]

@@ -45,13 +45,16 @@ impl Pipelines {
         entry_point: EntryPoint,
         variant: KernelVariant,
     ) -> Result<(wgpu::ComputePipeline, bool)> {
+        // Reuse a pipeline that was compiled before.
         if let Some(pipeline) = self.pipelines.get(&(entry_point, variant)) {
             return Ok((pipeline.clone(), false));
         }
+        // Choose the layout of group 1 by the kind of entry point.
         let own_group = match entry_point {
             EntryPoint::Render | EntryPoint::RenderAovs => &self.frame,
             EntryPoint::ClosestHits | EntryPoint::AnyHits => &self.batch,
         };
+        // Compile the variant, and keep it.
         let pipeline = context.with_error_scopes("compiling the kernel", || {
             Ok(compile(context, [Some(scene), Some(own_group)], entry_point, variant))
         })?;
@@ -67,10 +70,12 @@ fn compile(
     variant: KernelVariant,
 ) -> wgpu::ComputePipeline {
     let name = entry_point.name();
+    // Create the module from the variant's source.
     let module = context.device.create_shader_module(wgpu::ShaderModuleDescriptor {
         label: Some(name),
         source: wgpu::ShaderSource::Wgsl(entry_point.source(variant).into()),
     });
+    // Group 0 is the scene, group 1 the entry point's own.
     let layout = context.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
         label: Some(name),
         bind_group_layouts: &groups,

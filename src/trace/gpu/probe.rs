@@ -46,6 +46,7 @@ pub(super) fn check_loops(context: &Context) -> Result<()> {
 /// Dispatches the planned loops and reads back their outcomes.
 fn run(context: &Context) -> Result<Vec<Outcome>> {
     let Context { device, .. } = context;
+    // Compile the probe.
     let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
         label: Some("probe"),
         source: wgpu::ShaderSource::Wgsl(include_str!("../../../shaders/probe.wgsl").into()),
@@ -58,6 +59,7 @@ fn run(context: &Context) -> Result<Vec<Outcome>> {
         compilation_options: wgpu::PipelineCompilationOptions::default(),
         cache: None,
     });
+    // Upload the loop counts, and make room for the outcomes.
     let loop_counts = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
         label: Some("probe loops"),
         contents: bytemuck::cast_slice(&PLAN),
@@ -74,6 +76,7 @@ fn run(context: &Context) -> Result<Vec<Outcome>> {
             wgpu::BindGroupEntry { binding: 1, resource: outcomes.as_entire_binding() },
         ],
     });
+    // Run one workgroup per loop shape, and read the outcomes back.
     context.submit(OPERATION, |encoder| {
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
         pass.set_pipeline(&pipeline);

@@ -83,6 +83,7 @@ impl SceneBuffers {
     /// [`Error::Gpu`] before the first upload, and if the include no longer matches the scene's bindings.
     pub(super) fn bind_include(&self, context: &Context, include: &Include) -> Result<wgpu::BindGroup> {
         self.bind_group()?;
+        // Refuse an include that was made for other bindings.
         if include.variant != self.variant(include.variant.needs) {
             let message = "the scene's bindings changed; call include() again and rebuild the shader".into();
             return Err(Error::Gpu { during: "binding the scene", message });
@@ -219,6 +220,7 @@ fn plan_splits(sources: &[Source<'_>], limits: &wgpu::Limits) -> Result<ArraySpl
         if let Some(part_len) = planned.part_len() {
             check_fits(largest.max((1 + spare) * part_len * stride))?;
         }
+        // The further parts use up spare bindings.
         spare -= u64::from(planned.parts() - 1);
         *split(&mut splits) = planned;
     }
@@ -234,9 +236,11 @@ fn upload_array(
 ) -> Result<UploadOutcome> {
     let dirty = source.array.take_dirty();
     let bytes = source.array.bytes();
+    // Another number of parts: start with no buffers, so that each part is uploaded whole.
     if parts.len() != split.parts() as usize {
         *parts = (0..split.parts()).map(|_| None).collect();
     }
+    // Size of a part in bytes; the placeholder is one element.
     let largest = largest_buffer(&context.limits);
     let part_size = split.part_len().map_or(largest, |len| len * source.placeholder.len() as u64) as usize;
     let mut total = UploadOutcome { bytes: 0, kept_buffer: true };

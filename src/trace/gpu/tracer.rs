@@ -188,11 +188,13 @@ impl GpuTracer {
         rays: &RayBuffers<'_>,
     ) -> Result<()> {
         let Self { context, scene, pipelines, .. } = self;
+        // Check the scene and the buffers.
         let bound = scene.bind_group()?;
         rays.check(&context.limits, result_size)?;
         if rays.count == 0 {
             return Ok(());
         }
+        // Find the pipeline, and record the dispatches.
         let variant = scene.variant(BATCH_NEEDS);
         let (pipeline, _) = pipelines.pipeline(context, scene.layout(), entry_point, variant)?;
         context.with_error_scopes(batch::OPERATION, || {
@@ -208,8 +210,10 @@ impl GpuTracer {
         if rays.is_empty() {
             return Ok(Vec::new());
         }
+        // Find the pipeline.
         let variant = scene.variant(BATCH_NEEDS);
         let (pipeline, _) = pipelines.pipeline(context, scene.layout(), entry_point, variant)?;
+        // Trace with the last batch's buffers, if they are large enough. After an error they are dropped.
         let last = batch.take().filter(|batch| batch.can_hold(context, rays.len()));
         let (used, results) = context.with_error_scopes(batch::OPERATION, || {
             let batch = last.unwrap_or_else(|| BatchBuffers::new(context, pipelines.batch_layout(), rays.len()));
@@ -250,6 +254,7 @@ impl Tracer for GpuTracer {
         let (pipeline, is_new) = pipelines.pipeline(context, scene.layout(), entry_point, variant)?;
         self.empty_frame = None;
         let last = self.frame.take().filter(|frame| frame.matches(size, request.aovs));
+        // Trace. After an error no frame is kept, not even the last one.
         let frame = context.with_error_scopes(frame::TRACING, || {
             let frame =
                 last.unwrap_or_else(|| FrameTextures::new(context, pipelines.frame_layout(), size, request.aovs));

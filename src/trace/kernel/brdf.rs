@@ -20,6 +20,7 @@ pub(super) const MIN_HIGHLIGHT_ROUGHNESS: f32 = 0.1;
 pub(crate) fn traced_reflection_share(roughness: f32) -> f32 {
     let x = ((MAX_MIRROR_ROUGHNESS - roughness) * (1.0 / (MAX_MIRROR_ROUGHNESS - SHARP_REFLECTION_ROUGHNESS)))
         .clamp(0.0, 1.0);
+    // Smoothstep: 1 up to the lower roughness, 0 from the upper one on.
     (x * x) * (3.0 - 2.0 * x)
 }
 
@@ -28,9 +29,11 @@ pub(crate) fn traced_reflection_share(roughness: f32) -> f32 {
 /// that of the angle of incidence.
 pub(crate) fn fresnel_dielectric(cosine: f32, eta: f32) -> f32 {
     let cosine_transmitted = refracted_cosine(cosine, eta);
+    // Total internal reflection, and an infinite index on the other side, reflect everything.
     if cosine_transmitted <= 0.0 || eta <= 0.0 {
         return 1.0;
     }
+    // Average the reflectances of the two polarisations.
     let perpendicular = (eta * cosine - cosine_transmitted) / (eta * cosine + cosine_transmitted);
     let parallel = (cosine - eta * cosine_transmitted) / (cosine + eta * cosine_transmitted);
     0.5 * (perpendicular * perpendicular + parallel * parallel)
@@ -71,6 +74,7 @@ pub(crate) fn lobe_weights(surface: &Surface, cosine: f32, eta: f32) -> LobeWeig
     let rise = grazing_rise(surface.roughness);
     let metal = mix3(base_color, Vec3::ONE, schlick(cosine) * rise);
     let mut dielectric = fresnel_dielectric(cosine, eta);
+    // Rough surfaces rise less toward grazing angles; total reflection stays total.
     if dielectric < 1.0 {
         let normal_incidence = f0_from_ior(surface.ior);
         dielectric = normal_incidence + (dielectric - normal_incidence) * rise;
@@ -90,10 +94,12 @@ pub(crate) fn lobe_weights(surface: &Surface, cosine: f32, eta: f32) -> LobeWeig
 /// viewer. glTF's example weighs the diffuse lobe by the Fresnel term of the half-way vector alone, and so reflects up
 /// to 1.29 of the light at grazing angles.
 pub(crate) fn evaluate_brdf(surface: &Surface, to_viewer: Vec3, to_light: Vec3) -> Vec3 {
+    // A light below the shading horizon contributes nothing.
     let n_l = dot3(surface.normal, to_light);
     if n_l <= 0.0 {
         return Vec3::ZERO;
     }
+    // Find the half-way vector and the cosines that the lobes need.
     let n_v = max(dot3(surface.normal, to_viewer), MIN_COSINE);
     let half_way = normalize_or(to_viewer + to_light, surface.normal);
     let n_h = dot3(surface.normal, half_way).clamp(0.0, 1.0);
@@ -111,6 +117,7 @@ pub(crate) fn evaluate_brdf(surface: &Surface, to_viewer: Vec3, to_light: Vec3) 
     // GGX specular.
     let roughness = max(surface.roughness, MIN_HIGHLIGHT_ROUGHNESS);
     let specular = fresnel * ggx_specular(n_l, n_v, n_h, roughness * roughness);
+    // Add the Lambertian lobe, and weigh both by the light's cosine.
     (surface.base_color.xyz() * (diffuse / PI) + specular) * n_l
 }
 
@@ -120,6 +127,7 @@ fn ggx_specular(n_l: f32, n_v: f32, n_h: f32, alpha: f32) -> f32 {
     // n_h^2 (alpha_squared - 1) + 1, without the cancellation at n_h = 1.
     let spread = (1.0 - n_h * n_h) + (n_h * n_h) * alpha_squared;
     let distribution = alpha_squared / (PI * spread * spread);
+    // Smith's visibility, the masking of both directions correlated.
     let light_side = n_l * (n_v * n_v * (1.0 - alpha_squared) + alpha_squared).sqrt();
     let viewer_side = n_v * (n_l * n_l * (1.0 - alpha_squared) + alpha_squared).sqrt();
     distribution * (0.5 / (light_side + viewer_side))
@@ -154,10 +162,12 @@ mod tests {
     /// Fresnel's sine and tangent laws, and their limit at normal incidence, in f64.
     fn fresnel_by_angles(angle: f64, eta: f64) -> f64 {
         let sine = angle.sin() * eta;
+        // Total internal reflection has no angle of refraction.
         if sine >= 1.0 {
             return 1.0;
         }
         let refracted = sine.asin();
+        // At normal incidence the two laws are 0/0: use their limit.
         if angle < 1e-6 {
             return ((1.0 - eta) / (1.0 + eta)).powi(2);
         }

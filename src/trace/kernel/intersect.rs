@@ -95,6 +95,7 @@ pub(crate) fn max_component(v: Vec3) -> f32 {
 }
 
 pub(crate) fn slab_ray(origin: Vec3, direction: Vec3) -> SlabRay {
+    // Bound each component away from 0, so that its reciprocal is finite.
     let least = max(max_component(direction.abs()) * MIN_RELATIVE_COMPONENT, MIN_COMPONENT);
     let reciprocal = |d: f32| {
         let bounded = max(d.abs(), least);
@@ -109,10 +110,12 @@ pub(crate) fn slab_ray(origin: Vec3, direction: Vec3) -> SlabRay {
 /// Slab test: whether the ray enters the box within [`t_min`, `t_max`]; `t_min` is not negative.
 #[inline]
 pub(crate) fn intersects_box(ray: &SlabRay, t_min: f32, t_max: f32, node: &Node) -> bool {
+    // Find the distances to the two planes of each axis, and sort them.
     let a = (Vec3::from_array(node.min) - ray.origin) * ray.reciprocal_direction;
     let b = (Vec3::from_array(node.max) - ray.origin) * ray.reciprocal_direction;
     let near = Vec3::new(min(a.x, b.x), min(a.y, b.y), min(a.z, b.z));
     let far = Vec3::new(max(a.x, b.x), max(a.y, b.y), max(a.z, b.z));
+    // The ray is in the box from the last entry to the first exit.
     let t_near = max(max(near.x, near.y), max(near.z, t_min));
     let t_far = min(min(far.x, far.y), min(far.z, t_max));
     t_near * BOX_ENTRY_SCALE <= t_far
@@ -125,6 +128,7 @@ fn greater_of_others(v: Vec3) -> Vec3 {
 
 /// 1 over the greatest power of two that is not above `value`.
 pub(crate) fn reciprocal_power_of_two(value: f32) -> f32 {
+    // Negate the exponent, bounded so that the result is a normal number.
     let exponent = (value.to_bits() >> 23).min(253);
     f32::from_bits((254 - exponent) << 23)
 }
@@ -136,6 +140,7 @@ pub(crate) fn reciprocal_power_of_two(value: f32) -> f32 {
 /// Besides the slope a row has a 1 (times that power of two) and a 0: a product with either is exact, so that a dot
 /// product rounds as one product and one sum do.
 pub(crate) fn shear_ray(origin: Vec3, direction: Vec3, extent: f32) -> ShearRay {
+    // Find the power of two that brings the greatest coordinate to about 1.
     let scale = reciprocal_power_of_two(extent);
     // Find the dominant axis of the direction, and the rows of the shear along it.
     let length = direction.abs();
@@ -160,6 +165,7 @@ pub(crate) fn shear_ray(origin: Vec3, direction: Vec3, extent: f32) -> ShearRay 
     if major_component < 0.0 {
         (x_row, y_row) = (y_row, x_row);
     }
+    // Apply it to x and y; t keeps the unit of the ray.
     let t_to_sheared = major_component.abs() * scale;
     ShearRay { origin, direction, x_row: x_row * scale, y_row: y_row * scale, t_row, scale, t_to_sheared }
 }
@@ -177,6 +183,7 @@ pub(crate) fn intersect_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<
     let y = Vec3::new(dot3(ray.y_row, a), dot3(ray.y_row, b), dot3(ray.y_row, c));
     let t = Vec3::new(dot3(ray.t_row, a), dot3(ray.t_row, b), dot3(ray.t_row, c));
 
+    // Greatest depth, in units of sheared x and y: the tolerances grow with it.
     let z_extent = max(-min_component(t), max_component(t)) * ray.t_to_sheared;
 
     // 1. Reject the ray if it misses the projected triangle's bounds by more than the rounding error.
@@ -213,6 +220,7 @@ pub(crate) fn intersect_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<
     // 3. Compute barycentric weights and t, clamped to the triangle.
     weights = Vec3::new(max(weights.x, 0.0), max(weights.y, 0.0), max(weights.z, 0.0));
     let area = (weights.x + weights.y) + weights.z;
+    // A projection without area, of a degenerate triangle or one seen edge-on, is missed.
     if area < f32::MIN_POSITIVE {
         return None;
     }
@@ -237,6 +245,7 @@ pub(crate) fn plane_t(ray: &ShearRay, triangle: &Triangle, t: Vec3, weights: Vec
     } else {
         (v2 - ray.origin, t.z)
     };
+    // Height of the plane as seen from the origin, and the ray's speed toward it: t is their quotient.
     let (height, slope) = (dot3(normal, corner), dot3(normal, ray.direction));
     // Avoid a quotient that overflows or is 0/0. Neither product is subnormal, which is slow on some processors.
     if slope.abs() * SQRT_MAX_QUOTIENT <= height.abs() / SQRT_MAX_QUOTIENT {
@@ -302,9 +311,11 @@ mod tests {
             v[axis] *= if is_flat { 0.0 } else { 1.0 };
             v
         };
+        // Choose a corner and two edges, the second of which strays from the first by the thickness.
         let [mut v0, along, across] = [0; 3].map(|_| random.in_cube());
         v0[axis] *= 2.0;
         let corners = [v0, v0 + flattened(along), v0 + flattened(along * random.next() + across * thickness)];
+        // Aim at a random point of the triangle, nearly in its plane where the slope is small.
         let (u, v) = (random.next(), random.next());
         let target = corners[0] + ((corners[1] - corners[0]) * (1.0 - v) + (corners[2] - corners[0]) * v) * u.sqrt();
         let normal = cross3(flattened(along), flattened(across)).normalize_or(Vec3::X);
@@ -317,14 +328,17 @@ mod tests {
     fn plane_t_and_bound(ray: &ShearRay, corners: [Vec3; 3], weights: [f32; 3]) -> Option<(f64, f64)> {
         let [v0, v1, v2] = corners.map(Vec3::as_dvec3);
         let (origin, direction) = (ray.origin.as_dvec3(), ray.direction.as_dvec3());
+        // Compute the normal, and the sums of absolute products that bound its rounding error.
         let (a, b) = (v1 - v0, v2 - v0);
         let products = [[a.y * b.z, a.z * b.y], [a.z * b.x, a.x * b.z], [a.x * b.y, a.y * b.x]];
         let normal = DVec3::from_array(products.map(|[p, q]| p - q));
         let sums = DVec3::from_array(products.map(|[p, q]| p.abs() + q.abs()));
+        // Compute t by way of the vertex with the greatest weight, as the kernel does.
         let greatest = (0..3).max_by(|&i, &j| weights[i].total_cmp(&weights[j]))?;
         let corner = [v0, v1, v2][greatest] - origin;
         let slope = normal.dot(direction);
         let t = normal.dot(corner) / slope;
+        // Give up where the error of the slope is not small against the slope.
         let slope_error = 7.0 * HALF_ULP * sums.dot(direction.abs()) / slope.abs();
         if slope_error > 0.25 {
             return None;
@@ -340,6 +354,7 @@ mod tests {
         let mut random = Random(fastrand::Rng::with_seed(1));
         let (mut tested, mut close) = (0, 0);
         for i in 0..600_000 {
+            // Vary the size, the thickness, the angle and the distance.
             let scale = [1e-18, 1e-6, 1.0, 1e6, 1e18][i % 5];
             let thickness = [1.0, 1e-2, 1e-4][i / 5 % 3];
             let slope = [1.0, 1e-2, 1e-4][i / 15 % 3];
@@ -349,9 +364,11 @@ mod tests {
             let extent = corners.iter().fold(max_component(origin.abs()), |m, v| max(m, max_component(v.abs())));
             let ray = shear_ray(origin, direction * scale, extent);
             let Some(hit) = intersect_triangle(&ray, &triangle(corners)) else { continue };
+            // Check that the hit lies between the vertices.
             let depths = Vec3::from_array(corners.map(|v| dot3(ray.t_row, v - origin)));
             let (least, greatest) = (min_component(depths), max_component(depths));
             assert!(hit.t >= least && hit.t <= greatest, "{corners:?}: {} beside {depths}", hit.t);
+            // Check its distance against the exact one.
             let weights = [1.0 - hit.u - hit.v, hit.u, hit.v];
             let Some((t, bound)) = plane_t_and_bound(&ray, corners, weights) else { continue };
             let error = (f64::from(hit.t) - t.clamp(f64::from(least), f64::from(greatest))).abs();

@@ -59,6 +59,7 @@ fn incident_light(light: &LightRecord, point: Vec3) -> IncidentLight {
     if light.kind == LIGHT_DIRECTIONAL {
         return IncidentLight { direction: -axis, irradiance: color };
     }
+    // Point or spot: find direction and distance. A light at the point itself gives nothing.
     let to_light = position - point;
     let distance = length3(to_light);
     if distance <= 0.0 {
@@ -77,6 +78,7 @@ fn incident_light(light: &LightRecord, point: Vec3) -> IncidentLight {
 
 /// Shadow ray; `t_max` is 1 at a point or spot light.
 fn shadow_ray(light: &LightRecord, start: Vec3) -> RayRecord {
+    // Toward a position the direction is not normalised, so that the light is at t = 1.
     let (direction, t_max) = if light.kind == LIGHT_DIRECTIONAL {
         (-Vec3::from_array(light.direction), f32::MAX)
     } else {
@@ -97,6 +99,7 @@ fn range_attenuation(distance: f32, range: f32) -> f32 {
 /// talks.)
 fn shadow_terminator(surface: &Surface, direction: Vec3, geometric_cosine: f32) -> f32 {
     let shading_cosine = dot3(surface.normal, direction) * dot3(surface.normal, surface.geometric_normal);
+    // Ratio of the geometric to the shading cosine, then a smooth curve from 0 at 0 to 1 at 1.
     let g = min(geometric_cosine / max(shading_cosine, MIN_COSINE * MIN_COSINE), 1.0);
     ((1.0 - g) * g + 1.0) * g
 }
@@ -121,6 +124,7 @@ mod tests {
             for distance in [0.1f32, 0.5, 1.0, 1.9, 2.0, 3.0, 9.0, 11.0, 1e6] {
                 let direction = Vec3::new(2.0, -1.0, 2.0) / 3.0;
                 let incident = incident_light(&light, Vec3::new(1.0, 2.0, 3.0) - direction * distance);
+                // Expect the inverse square law, computed in f64, times the window at the range.
                 let window = (1.0 - (f64::from(distance) / f64::from(range)).powi(4)).clamp(0.0, 1.0);
                 let expected = 5.0 / f64::from(distance).powi(2) * window;
                 let found = f64::from(incident.irradiance.x);
@@ -137,6 +141,7 @@ mod tests {
     #[test]
     fn a_spot_fades_between_its_cones() {
         let (inner, outer) = (0.3f32, 0.6f32);
+        // A linear ramp in the cosine: 0 at the outer cone, 1 at the inner one.
         let cone_scale = 1.0 / (inner.cos() - outer.cos());
         let cone_offset = -outer.cos() * cone_scale;
         let light = LightRecord {
@@ -151,6 +156,7 @@ mod tests {
         for step in 0..=100 {
             let angle = step as f32 * 0.01;
             let incident = incident_light(&light, Vec3::new(angle.sin(), 0.0, -angle.cos()) * 2.0);
+            // Expect the square of the ramp, over the square of the distance 2.
             let t = ((angle.cos() - outer.cos()) / (inner.cos() - outer.cos())).clamp(0.0, 1.0);
             let expected = t * t / 4.0;
             assert!((incident.irradiance.x - expected).abs() < 1e-5, "{angle}: {} {expected}", incident.irradiance.x);

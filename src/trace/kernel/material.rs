@@ -59,6 +59,7 @@ pub(crate) fn surface_transmittance(
     u: f32,
     v: f32,
 ) -> Vec3 {
+    // Evaluate the base colour where the ray crosses the surface.
     let material = &scene.materials[instance.material as usize];
     let point = triangle_point(scene, instance, primitive, u, v);
     let base_color = base_color_at(scene, material, &point);
@@ -83,11 +84,13 @@ pub(crate) fn surface_transmittance(
 /// Linear base colour and alpha.
 pub(crate) fn base_color_at(scene: &KernelScene<'_>, material: &MaterialRecord, point: &TrianglePoint) -> Vec4 {
     let mut color = Vec4::from_array(material.base_color);
+    // Multiply by the interpolated vertex colour.
     if point.streams.first_color != NONE {
         let first = point.streams.first_color;
         let [a, b, c] = point.vertices.map(|vertex| vertex_color(scene, first + vertex));
         color *= (a * point.weights.x + b * point.weights.y) + c * point.weights.z;
     }
+    // Multiply by the texture.
     if material.base_color_texture != NONE {
         color *= texture_at(scene, material.base_color_texture, point);
     }
@@ -102,6 +105,7 @@ pub(crate) fn metallic_roughness_at(
 ) -> [f32; 2] {
     if material.metallic_roughness_texture != NONE {
         let value = texture_at(scene, material.metallic_roughness_texture, point);
+        // glTF keeps roughness in the green channel and metallic in the blue one.
         return [material.metallic * value.z, material.roughness * value.y];
     }
     [material.metallic, material.roughness]
@@ -167,6 +171,7 @@ pub(crate) fn first_tex_coord(info: &TextureInfo, streams: &GeometryRecord) -> u
 }
 
 fn vertex_color(scene: &KernelScene<'_>, i: u32) -> Vec4 {
+    // Unpack four 16-bit channels.
     let [low, high] = scene.colors[i as usize];
     let rgba = [low & 65535, low >> 16, high & 65535, high >> 16];
     Vec4::from_array(rgba.map(|unorm| unorm as f32)) * (1.0 / 65535.0)

@@ -133,6 +133,7 @@ mod tests {
     /// there are many.
     fn lathed(rows: u32, columns: u32, scale: f32, radius_height: impl Fn(f32) -> (f32, f32)) -> Geometry {
         let mut positions = Vec::new();
+        // Rings of vertices, then the two poles.
         for row in 1..rows {
             let (radius, height) = radius_height(row as f32 / rows as f32);
             for column in 0..columns {
@@ -144,6 +145,7 @@ mod tests {
         positions.extend([Vec3::Y, Vec3::NEG_Y].map(|pole| pole * scale));
         let vertex = |row: u32, column: u32| row * columns + column % columns;
         let mut indices = Vec::new();
+        // A fan around each pole, and two triangles per quad between the rings.
         for c in 0..columns {
             indices.push([top, vertex(0, c), vertex(0, c + 1)]);
             indices.push([vertex(rows - 2, c + 1), vertex(rows - 2, c), top + 1]);
@@ -190,6 +192,7 @@ mod tests {
     /// Rays from outside hit a convex mesh; those that leave the hit outward must meet nothing, those that leave inward
     /// the far side from within.
     fn check(name: &str, geometry: Geometry, place: DAffine3, size: f64, eye: DVec3, hits: u32, counts: &mut Counts) {
+        // Compile a scene of one glass instance.
         let mut scene = Scene::new();
         let geometry = scene.add_geometry(geometry).unwrap();
         let material = scene.add_material(Material::glass(1.5)).unwrap();
@@ -203,6 +206,7 @@ mod tests {
         let mut random = Random(fastrand::Rng::with_seed(17));
         let mut found = 0;
         for _ in 0..hits * 10 {
+            // Shoot at a random point of a random triangle, from outside the mesh.
             let triangle = &kernel.triangles[(random.next() * kernel.triangles.len() as f64) as usize];
             let (a, b) = (random.next() as f32, random.next() as f32);
             let weights = Vec3::new(1.0 - a, a * (1.0 - b), a * b);
@@ -214,10 +218,12 @@ mod tests {
             if hit.instance == NONE {
                 continue;
             }
+            // Keep only hits on the outside.
             let surface = surface_at(&kernel, &hit, direction.as_vec3());
             if surface.is_inside {
                 continue;
             }
+            // Let rays leave the hit, and note the offset relative to the object's size.
             check_hit(name, &kernel, &hit, &surface, &mut random, counts);
             let far = usize::from(place.translation.distance(eye) > 100.0 * extent);
             counts.offsets[far] = counts.offsets[far].max((f64::from(surface.ray_offset) / extent) as f32);
@@ -237,6 +243,7 @@ mod tests {
         random: &mut Random,
         counts: &mut Counts,
     ) {
+        // Rays that leave outward must meet nothing.
         for _ in 0..4 {
             let direction = random.outward(surface.geometric_normal);
             let leaving = ray(offset_ray_origin(surface, direction), direction);
@@ -245,6 +252,7 @@ mod tests {
             assert!(!any_hit(kernel, &leaving, u32::MAX), "{name}: {hit:?}");
             counts.outward += 1;
         }
+        // One that goes inward must not meet the triangle that it starts on.
         let direction = random.outward(-surface.geometric_normal);
         let entering = ray(offset_ray_origin(surface, direction), direction);
         let far = closest_hit(kernel, &entering, u32::MAX);

@@ -98,6 +98,7 @@ fn shading_normal(
 ) -> Vec3 {
     let mut normal = plane_normal;
     if point.streams.first_normal != NONE {
+        // Interpolate the vertex normals, and transform the result to world space.
         let [a, b, c] = point.vertices.map(|vertex| vertex_normal(scene, point.streams.first_normal, vertex));
         let local = (a * point.weights.x + b * point.weights.y) + c * point.weights.z;
         normal = normalize_or(transform_normal(&instance.local_from_world, local), plane_normal);
@@ -106,6 +107,7 @@ fn shading_normal(
             normal = -normal;
         }
     }
+    // Perturb it by the normal map.
     if material.normal_texture != NONE {
         normal = normal_mapped(scene, instance, triangle, material, point, normal);
     }
@@ -138,6 +140,7 @@ fn normal_mapped(
     let along_u = (edge_1 * uv_edge_2.y - edge_2 * uv_edge_1.y) * handedness;
     let along_v = (edge_2 * uv_edge_1.x - edge_1 * uv_edge_2.x) * handedness;
 
+    // Make the frame orthogonal to the shading normal, with the bitangent up in the image.
     let tangent = normalize_or(along_u - normal * dot3(normal, along_u), Vec3::ZERO);
     let mut bitangent = cross3(normal, tangent);
     if dot3(bitangent, along_v) > 0.0 {

@@ -25,6 +25,7 @@ pub(super) const SRGB_FIT_0: f32 = -0.818_191;
 
 /// Bilinear or nearest sample at `tex_coord`.
 pub(crate) fn sample_texture(scene: &KernelScene<'_>, info: &TextureInfo, tex_coord: Vec2) -> Vec4 {
+    // Transform to image coordinates, and wrap them to a position in texels.
     let coord = image_coordinates(info, tex_coord);
     let [wrap_u, wrap_v] = wrap_modes(info);
     let x = texel_position(coord.x, info.width, wrap_u);
@@ -88,10 +89,12 @@ fn texel_position(coord: f32, size: u32, wrap: Wrap) -> f32 {
 }
 
 fn load_texel(scene: &KernelScene<'_>, info: &TextureInfo, column: i32, row: i32) -> Vec4 {
+    // Wrap the indices.
     let [wrap_u, wrap_v] = wrap_modes(info);
     let x = wrap_index(column, info.width as i32, wrap_u);
     let y = wrap_index(row, info.height as i32, wrap_v);
     let word = scene.texels[(info.first_texel + y as u32 * info.width + x as u32) as usize];
+    // Unpack four 8-bit channels, and decode sRGB; alpha is linear always.
     let bytes = [word & 255, (word >> 8) & 255, (word >> 16) & 255, word >> 24];
     let rgba = Vec4::from_array(bytes.map(|byte| byte as f32)) * (1.0 / 255.0);
     if flags(info).contains(TextureFlags::SRGB) {
@@ -106,6 +109,7 @@ fn wrap_index(i: i32, size: i32, wrap: Wrap) -> i32 {
     match wrap {
         Wrap::Clamp => {}
         Wrap::Mirror => {
+            // Reflect at 0, wrap at twice the size (the period), and reflect at the size.
             if wrapped < 0 {
                 wrapped = -1 - wrapped;
             }
@@ -118,6 +122,7 @@ fn wrap_index(i: i32, size: i32, wrap: Wrap) -> i32 {
         }
         Wrap::Repeat => {
             if wrapped < 0 {
+                // One period is enough, as the index is at most one texel outside.
                 wrapped += size;
             }
             if wrapped >= size {
@@ -139,6 +144,7 @@ pub(crate) fn linear_from_srgb(c: f32) -> f32 {
     }
     let x = c * SRGB_SCALE + SRGB_OFFSET;
     let s = x.sqrt();
+    // Evaluate the fit by Horner's rule.
     let mut slope = SRGB_FIT_6 * s + SRGB_FIT_5;
     slope = slope * s + SRGB_FIT_4;
     slope = slope * s + SRGB_FIT_3;

@@ -60,12 +60,15 @@ impl TraversalRay {
         scene: &KernelScene<'a>,
         index: u32,
     ) -> Option<(&'a InstanceRecord, Vec3, Vec3)> {
+        // Skip an instance that the mask hides.
         let instance = &scene.instances[index as usize];
         if instance.mask & self.ray_mask == 0 {
             return None;
         }
+        // Transform the ray to local space. Its direction is not normalised, so that t means the same in both spaces.
         let origin = transform_point(&instance.local_from_world, self.world_ray.origin);
         let direction = transform_vector(&instance.local_from_world, self.direction);
+        // Remember the instance; boxes are tested in its space from here on.
         self.instance = index;
         self.first_triangle = instance.first_triangle;
         self.flags = instance.flags;

@@ -139,6 +139,7 @@ mod tests {
 
     /// Triangles one behind the other at z = 0, 1, 2, ..., in one leaf of one instance.
     fn layers(count: u32, material: MaterialRecord, flags: InstanceFlags) -> DeviceArrays {
+        // Make a TLAS of one leaf, and a BLAS of one leaf that holds all triangles.
         let mut arrays = DeviceArrays::default();
         let (min, max) = ([-2.0, -2.0, -1.0], [4.0, 4.0, count as f32]);
         let node = |primitives| Node { min, escape_index: NONE, max, primitives };
@@ -149,6 +150,7 @@ mod tests {
             Triangle::new([v0, v1, v2], z as u32)
         };
         arrays.triangles.replace(&(0..count).map(|i| at(i as f32)).collect::<Vec<_>>());
+        // Place it once, at the identity, without vertex attributes.
         let identity = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
         let instance = InstanceRecord { mask: 2, flags: flags.bits(), ..InstanceRecord::zeroed() };
         arrays.instances.replace(&[InstanceRecord {
@@ -199,6 +201,7 @@ mod tests {
         triangles[4] = Triangle { primitive: 4, ..triangles[3] };
         triangles.extend_from_within(1..4);
         arrays.triangles.replace(&triangles);
+        // Put triangles 0 to 4 into the first leaf, 4 to 7 into the second.
         let leaf = arrays.blas_nodes[0];
         let root = Node { primitives: PrimitiveRange::INNER, ..leaf };
         let first = Node { escape_index: 2, ..leaf };

@@ -167,6 +167,7 @@ impl RayTree {
     /// Pops the next ray to trace, or `None` when the pixel is finished. The caller traces it, passes the hit to
     /// [`record_hit`](Self::record_hit) and, if that returns a surface, the lights' radiance to [`shade`](Self::shade).
     pub(crate) fn next_ray(&mut self) -> Option<RayRecord> {
+        // A pixel that has used up its rays is finished.
         if self.traced_rays == MAX_RAYS {
             return None;
         }
@@ -185,11 +186,14 @@ impl RayTree {
     ) -> Option<SurfaceHit> {
         let ray = self.pending[self.pending_count];
         self.traced_rays += 1;
+        // Miss: add the sky.
         if hit.instance == NONE {
             self.color += ray.throughput * sky_radiance(params, ray.direction);
             return None;
         }
+        // Hit: reconstruct the surface.
         let surface = surface_at(scene, hit, ray.direction);
+        // The first ray is the primary ray: it gives the pixel's normal, distance and identifiers.
         if self.traced_rays == 1 {
             let [slot, version] = scene.instances[hit.instance as usize].node_key;
             self.pixel.normal = surface.normal;
@@ -212,6 +216,7 @@ impl RayTree {
             self.push_ray(params, behind);
             throughput *= alpha;
         }
+        // Unlit surfaces show their base colour, and nothing else.
         if surface.flags.contains(MaterialFlags::UNLIT) {
             self.color += throughput * surface.base_color.xyz();
             return;
@@ -224,6 +229,7 @@ impl RayTree {
         let lobes = lobe_weights(surface, cosine, eta);
         let reflected_direction = clamp_cosine(surface.normal * (2.0 * cosine) - to_viewer, surface.geometric_normal);
         let sharp = traced_reflection_share(surface.roughness);
+        // The blurred share of the reflection sees the sky only; the sharp share is traced below.
         let mut radiance = surface.emissive + lobes.diffuse * sky_irradiance_over_pi(params, surface.normal);
         if sharp < 1.0 {
             radiance += lobes.specular_reflection
@@ -254,6 +260,7 @@ impl RayTree {
     fn push_ray(&mut self, params: &FrameParams, ray: PendingRay) {
         let is_deep = ray.bounces > params.max_depth.min(MAX_DEPTH) || ray.layers > MAX_LAYERS;
         let count = self.pending_count;
+        // Cut off: the sky stands in for what the ray would have met.
         if is_deep || max_component(ray.throughput) < MIN_THROUGHPUT || count == MAX_PENDING {
             self.color += ray.throughput * sky_radiance(params, ray.direction);
             return;
@@ -284,6 +291,7 @@ fn refracted_direction(surface: &Surface, direction: Vec3, cosine: f32, eta: f32
     if surface.thin {
         return direction;
     }
+    // Refract by Snell's law, and keep the ray on the far side of the surface.
     let bent = direction * eta + surface.normal * (eta * cosine - refracted_cosine(cosine, eta));
     clamp_cosine(normalize_or(bent, direction), -surface.geometric_normal)
 }

@@ -81,6 +81,7 @@ impl<C: TraversalCounter> WideTraversal<C> {
         };
         if traversal.tlas_next != NONE {
             if order == VisitOrder::NearFirst {
+                // Near first: start at the root, if the ray hits its box.
                 let root = traversal.read_tlas_node(scene, 0);
                 traversal.tlas_next = if traversal.tlas_entry_distance(root, ray.t_max) == NO_ENTRY {
                     NONE
@@ -88,6 +89,7 @@ impl<C: TraversalCounter> WideTraversal<C> {
                     encode_tlas_entry(0, root)
                 };
             } else {
+                // Any order: traverse the whole TLAS along escape indices.
                 traversal.tlas_rope_end = NONE;
             }
         }
@@ -116,6 +118,7 @@ impl<C: TraversalCounter> WideTraversal<C> {
 
     /// Visits the next node of a TLAS subtree that is traversed along escape indices.
     fn step_tlas_rope(&mut self, scene: &KernelScene<'_>, t_max: f32) {
+        // End of the subtree: continue with the stack.
         if self.tlas_next == self.tlas_rope_end {
             self.tlas_rope_end = 0;
             self.tlas_next = NONE;
@@ -123,6 +126,7 @@ impl<C: TraversalCounter> WideTraversal<C> {
         }
         let node = self.read_tlas_node(scene, self.tlas_next);
         self.counter.boxes(1);
+        // Miss: skip the subtree. Inner node: its first child follows. Leaf: enter its instance.
         if !intersects_box(&self.ray.level_ray, self.ray.t_min, t_max, node) {
             self.tlas_next = node.escape_index;
         } else if !node.is_leaf() {
@@ -187,6 +191,7 @@ impl<C: TraversalCounter> WideTraversal<C> {
     fn tlas_entry_distance(&mut self, node: &Node, t_max: f32) -> f32 {
         self.counter.boxes(1);
         let SlabRay { origin, reciprocal_direction: reciprocal } = self.ray.level_ray;
+        // Slab test as in `intersects_box`, but the entry distance is kept.
         let a = (Vec3::from_array(node.min) - origin) * reciprocal;
         let b = (Vec3::from_array(node.max) - origin) * reciprocal;
         let near = Vec3::new(min(a.x, b.x), min(a.y, b.y), min(a.z, b.z));
@@ -202,6 +207,7 @@ impl<C: TraversalCounter> WideTraversal<C> {
         self.counter.instance();
         self.counter.read(instance);
         self.first_node = scene.geometries[instance.geometry as usize].first_wide_node;
+        // The octant decides the order in which children are visited.
         let reciprocal = self.ray.level_ray.reciprocal_direction;
         self.octant =
             u32::from(reciprocal.x < 0.0) | u32::from(reciprocal.y < 0.0) << 1 | u32::from(reciprocal.z < 0.0) << 2;
@@ -256,6 +262,7 @@ impl<C: TraversalCounter> WideTraversal<C> {
             self.stack_size -= 1;
             let (node, word) = self.stack[self.stack_size as usize];
             self.nearest_pending_t = f32::from_bits(word & !PENDING_CHILDREN_MASK);
+            // Drop an ancestor whose nearest pending child lies beyond t_max.
             if self.nearest_pending_t <= t_max {
                 self.wide_node_index = node;
                 self.pending_children = word & PENDING_CHILDREN_MASK;
@@ -346,6 +353,7 @@ fn child_entry_distances(
 
 /// Permutes a slot mask to visit order: bit i of the result is bit `i ^ octant`.
 fn slots_in_visit_order(bits: u32, octant: u32) -> u32 {
+    // For each set bit of the octant, swap neighbouring bits, pairs of bits or halves.
     let mut bits = bits;
     if octant & 1 != 0 {
         bits = (bits & 0x55) << 1 | bits >> 1 & 0x55;

@@ -67,6 +67,7 @@ impl Include {
         let surfaces = if self.surfaces { &SURFACES[..] } else { &[] };
         let source =
             self.variant.preamble() + &[&self.variant.scene_files()[..], materials, surfaces].concat().concat();
+        // The files declare the scene as group 0; put the application's group in its place.
         source.replace("@group(0)", &format!("@group({})", self.group))
     }
 

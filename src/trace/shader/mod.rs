@@ -134,6 +134,7 @@ impl EntryPoint {
 
     /// The WGSL source of a module with this entry point, specialised for a variant.
     pub fn source(self, variant: impl Into<KernelVariant>) -> String {
+        // Only kernels that render need surfaces and shading.
         let shading = match self {
             Self::Render | Self::RenderAovs => [&SURFACES[..], &SHADING[..]].concat(),
             Self::ClosestHits | Self::AnyHits => Vec::new(),

@@ -27,6 +27,7 @@ impl ArraySplit {
         if len <= limit {
             return Self::WHOLE;
         }
+        // Parts of the greatest power of two that a binding holds.
         let shift = limit.max(1).ilog2();
         Self { extra_parts: (len.div_ceil(1 << shift) - 1) as u32, shift }
     }
@@ -74,10 +75,13 @@ impl ArraySplits {
     /// Parts after the first are bound after all arrays, in the order of the members.
     pub(super) fn source(&self, traversal: Traversal) -> String {
         let mut source = String::new();
+        // Accessors return a whole element, or one child of a node.
         let element = ("i: u32", "");
         let child = ("i: u32, child: u32", ".children[child]");
+        // Bindings of the further parts: those of the nodes, then those of the triangles.
         let nodes = ARRAY_COUNT;
         let triangles = nodes + self.nodes.extra_parts;
+        // Declare the nodes of the traversal in use.
         match traversal {
             Traversal::Rope => {
                 self.nodes.write_declarations(&mut source, [2, nodes], "blas_nodes", "Node");
@@ -89,6 +93,7 @@ impl ArraySplits {
                 self.nodes.write_accessor(&mut source, "wide_nodes", "wide_child_at", "u32", child);
             }
         }
+        // Declare the triangles.
         self.triangles.write_declarations(&mut source, [3, triangles], "triangles", "Triangle");
         self.triangles.write_accessor(&mut source, "triangles", "triangle_at", "Triangle", element);
         source
@@ -127,6 +132,7 @@ impl ArraySplit {
         (arguments, member): (&str, &str),
     ) {
         let _ = writeln!(source, "fn {name}({arguments}) -> {result} {{");
+        // Split: the upper bits of the index choose the part, the lower ones the element.
         if self.extra_parts > 0 {
             let shift = self.shift;
             let _ = writeln!(source, "    let j = i & {}u;\n    switch i >> {shift}u {{", (1u64 << shift) - 1);

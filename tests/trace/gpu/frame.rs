@@ -12,7 +12,7 @@ use ropewalk_testkit::Random;
 use ropewalk_testkit::gpu::tracer;
 
 pub(crate) fn request(width: u32, height: u32, aovs: bool) -> FrameRequest {
-    FrameRequest { params: params(width, height), needs: Needs::empty(), aovs }
+    FrameRequest::new(params(width, height), Needs::empty()).with_aovs(aovs)
 }
 
 #[test]
@@ -98,7 +98,7 @@ fn a_kernel_is_compiled_once_for_each_set_of_needs() {
     tracer.upload(&mut arrays).unwrap();
     for _ in 0..3 {
         tracer.render(&arrays, &request(8, 8, false)).unwrap();
-        tracer.render(&arrays, &FrameRequest { needs: Needs::CULLING, ..request(8, 8, false) }).unwrap();
+        tracer.render(&arrays, &FrameRequest::new(params(8, 8), Needs::CULLING)).unwrap();
     }
     assert_eq!(tracer.pipeline_count(), 2);
 }

@@ -51,7 +51,7 @@ fn draw(tracer: &mut dyn Tracer, arrays: &mut DeviceArrays) -> Image {
     let mut params = params(48, 48);
     (params.light_count, params.max_depth) = (1, 2);
     tracer.upload(arrays).unwrap();
-    tracer.render(arrays, &FrameRequest { params, needs: Needs::BLEND | Needs::LIGHTS, aovs: false }).unwrap();
+    tracer.render(arrays, &FrameRequest::new(params, Needs::BLEND | Needs::LIGHTS)).unwrap();
     tracer.read_image().unwrap()
 }
 

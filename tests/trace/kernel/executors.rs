@@ -26,7 +26,7 @@ fn request(width: u32, height: u32, aovs: bool) -> FrameRequest {
     params.sky_ground = [1.0; 3];
     params.sky_up = [0.0, 1.0, 0.0];
     params.ray_mask = 1;
-    FrameRequest { params, needs: Needs::empty(), aovs }
+    FrameRequest::new(params, Needs::empty()).with_aovs(aovs)
 }
 
 fn sun(direction: [f32; 3]) -> LightRecord {
