@@ -88,7 +88,7 @@ struct Parts {
 }
 
 /// A diffuse, opaque material without textures.
-fn gray() -> MaterialRecord {
+pub fn gray() -> MaterialRecord {
     let mut material = MaterialRecord::zeroed();
     material.base_color = [0.5, 0.5, 0.5, 1.0];
     material.roughness = 1.0;

@@ -24,7 +24,7 @@ mod random;
 mod tracers;
 pub mod world;
 
-pub use arrays::{Builder, Placed, arrays, arrays_by};
+pub use arrays::{Builder, Placed, arrays, arrays_by, gray};
 pub use mesh::Mesh;
 pub use random::Random;
 pub use tracers::tracers;

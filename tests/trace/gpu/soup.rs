@@ -5,7 +5,7 @@ use ropewalk::device::DeviceArrays;
 use ropewalk::device::layout::{
     FrameParams, GeometryRecord, InstanceRecord, MaterialRecord, NONE, Node, PrimitiveRange, RayRecord, Triangle,
 };
-use ropewalk_testkit::Random;
+use ropewalk_testkit::{Random, gray};
 
 /// Triangles of an instance, all in one leaf.
 pub(crate) const TRIANGLES_A_LEAF: usize = 4;
@@ -17,19 +17,9 @@ const SCALE: f32 = 0.2;
 const PADDED: f32 = 1.01;
 
 /// The material of all instances.
-fn grey() -> MaterialRecord {
-    let mut material = MaterialRecord::zeroed();
-    material.base_color = [0.5, 0.5, 0.5, 1.0];
+fn glowing_gray() -> MaterialRecord {
+    let mut material = gray();
     material.emissive = [0.1, 0.0, 0.0];
-    material.roughness = 1.0;
-    material.ior = 1.5;
-    material.alpha_cutoff = 0.5;
-    material.base_color_texture = NONE;
-    material.metallic_roughness_texture = NONE;
-    material.emissive_texture = NONE;
-    material.transmission_texture = NONE;
-    material.normal_texture = NONE;
-    material.normal_scale = 1.0;
     material
 }
 
@@ -79,7 +69,7 @@ pub(crate) fn set_instance(arrays: &mut DeviceArrays, i: usize, random: &mut Ran
     arrays.triangles.write(i * TRIANGLES_A_LEAF, &triangles);
     arrays.blas_nodes.write(i, &[leaf]);
     arrays.geometries.write(0, &[GeometryRecord::EMPTY]);
-    arrays.materials.write(0, &[grey()]);
+    arrays.materials.write(0, &[glowing_gray()]);
 }
 
 /// Makes the TLAS: a chain of leaves, one for each instance.
