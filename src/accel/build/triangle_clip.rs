@@ -23,6 +23,7 @@ pub(super) struct ClippedBounds {
 const CLIP_MARGIN: f32 = 1.0 / (1 << 21) as f32;
 
 impl TriangleClipper {
+    #[inline]
     pub(super) fn new(geometry: &Geometry, primitive: u32) -> Self {
         let corners = geometry.indices[primitive as usize].map(|v| geometry.positions[v as usize].extend(0.0));
         let [a, b, c] = corners;
@@ -40,6 +41,7 @@ impl TriangleClipper {
     /// origin. A box around whole corners contains such a point because rounding is monotonic; the box of a part need
     /// not. The share of the error that grows with the distance to the ray origin is covered by the slack of the box
     /// test.
+    #[inline]
     pub(super) fn split_bounds(&self, bounds: &SimdAabb, axis: usize, plane: f32) -> ClippedBounds {
         let [mut left, mut right] = [SimdAabb::EMPTY; 2];
         let [a, b, c] = self.corners;
@@ -65,6 +67,7 @@ impl TriangleClipper {
         ClippedBounds { left: self.within(left, bounds), right: self.within(right, bounds) }
     }
 
+    #[inline]
     fn within(&self, part: SimdAabb, bounds: &SimdAabb) -> SimdAabb {
         SimdAabb { min: (part.min - self.margin).max(bounds.min), max: (part.max + self.margin).min(bounds.max) }
     }
