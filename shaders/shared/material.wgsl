@@ -22,10 +22,9 @@ fn triangle_point(instance: InstanceRecord, primitive: u32, u: f32, v: f32) -> T
 // Alpha test: whether a masked material is cut out at this point. Evaluated for each closest-hit candidate.
 fn fails_alpha_test(instance: InstanceRecord, primitive: u32, u: f32, v: f32) -> bool {
     let material = materials[instance.material];
-    if (material.flags & MATERIAL_MASK) == 0u {
-        return false;
-    }
-    return base_color_at(material, triangle_point(instance, primitive, u, v)).w < material.alpha_cutoff;
+    let alpha = base_color_at(material, triangle_point(instance, primitive, u, v)).w;
+    return ((material.flags & MATERIAL_MASK) != 0u && alpha < material.alpha_cutoff)
+        || ((material.flags & MATERIAL_BLEND) != 0u && alpha <= 0.0);
 }
 
 // Transmittance of a surface to a shadow ray: 1 in a hole of the alpha test. Else the share that the material

@@ -9,12 +9,17 @@ fn primitive_count(primitives: u32) -> u32 {
     return primitives >> 28u;
 }
 
-// The closest hit in [t_min, t_max]; of hits at equal t the one of the lower instance, then the lower primitive.
+// The first hit in [t_min, t_max], in the order of hits (query.wgsl): the closest, but for surfaces that touch.
 fn closest_hit(ray: RayRecord, ray_mask: u32) -> HitRecord {
-    var hit = HitRecord(ray.t_max, 0.0, 0.0, NONE, NONE, NONE, 0u, 0u);
+    return next_hit(ray, start_of_ray(), ray_mask);
+}
+
+// The first hit in [t_min, t_max] of a ray that goes on behind one that it has passed; t_min should be t_min_of(start).
+fn next_hit(ray: RayRecord, start: Continuation, ray_mask: u32) -> HitRecord {
+    var query = closest_query(ray.t_max, start);
     var state = begin_traversal(ray, ray_mask, NEAR_FIRST);
     loop {
-        let leaf = next_leaf(&state, hit.t);
+        let leaf = next_leaf(&state, query.t_max);
         if leaf == 0u {
             break;
         }
@@ -22,16 +27,13 @@ fn closest_hit(ray: RayRecord, ray_mask: u32) -> HitRecord {
         let first = state.first_triangle + first_primitive(leaf);
         let end = first + primitive_count(leaf);
         for (var i = first; i < end; i++) {
-            let candidate = candidate_hit(&state, i, hit.t);
+            let candidate = candidate_hit(&state, i, query.t_max);
             if candidate.instance != NONE {
-                accept_closest(&hit, candidate, state.flags);
+                accept_closest(&query, candidate, state.flags);
             }
         }
     }
-    if hit.instance == NONE {
-        hit.t = F32_MAX;
-    }
-    return hit;
+    return query.hit;
 }
 
 // Occlusion query: whether the ray hits an opaque surface in [t_min, t_max].
@@ -87,33 +89,35 @@ fn transmittance(ray: RayRecord, ray_mask: u32) -> vec3<f32> {
     return product;
 }
 
-// Transmittance of layered instances, found by repeated closest-hit traversals that each start at the last hit.
+// Transmittance of layered instances, found by repeated closest-hit traversals that each go on behind the last hit.
 fn transmittance_of_layers(ray: RayRecord, ray_mask: u32) -> vec3<f32> {
     var product = vec3<f32>(1.0);
-    var layer = HitRecord(-1.0, 0.0, 0.0, NONE, NONE, NONE, 0u, 0u);
+    var start = start_of_ray();
     loop {
-        // Find the next layer after the last one.
-        layer = next_layer(ray, ray_mask, layer);
+        // Find the next layer behind the last one.
+        let layer = next_layer(ray, start, ray_mask);
         if layer.instance == NONE {
             break;
         }
         // Multiply by its transmittance; an opaque one ends the ray.
-        product *= candidate_transmittance(layer, instances[layer.instance].flags);
+        let flags = instances[layer.instance].flags;
+        product *= candidate_transmittance(layer, flags);
         if max_component(product) <= 0.0 {
             return vec3<f32>(0.0);
         }
+        start = start_behind(layer, flags);
     }
     return product;
 }
 
-// The first hit of a layered instance after `last`, in the order of t, instance and primitive.
-fn next_layer(ray: RayRecord, ray_mask: u32, last: HitRecord) -> HitRecord {
-    var hit = HitRecord(ray.t_max, 0.0, 0.0, NONE, NONE, NONE, 0u, 0u);
+// The first hit of a layered instance behind the one that the ray has passed.
+fn next_layer(ray: RayRecord, start: Continuation, ray_mask: u32) -> HitRecord {
+    var query = closest_query(ray.t_max, start);
     var rest = ray;
-    rest.t_min = max(ray.t_min, last.t);
+    rest.t_min = max(ray.t_min, t_min_of(start));
     var state = begin_traversal(rest, ray_mask, NEAR_FIRST);
     loop {
-        let leaf = next_leaf(&state, hit.t);
+        let leaf = next_leaf(&state, query.t_max);
         if leaf == 0u {
             break;
         }
@@ -124,11 +128,11 @@ fn next_layer(ray: RayRecord, ray_mask: u32, last: HitRecord) -> HitRecord {
         let first = state.first_triangle + first_primitive(leaf);
         let end = first + primitive_count(leaf);
         for (var i = first; i < end; i++) {
-            let candidate = candidate_hit(&state, i, hit.t);
+            let candidate = candidate_hit(&state, i, query.t_max);
             if candidate.instance != NONE {
-                accept_layer(&hit, last, candidate);
+                accept_layer(&query, candidate, state.flags);
             }
         }
     }
-    return hit;
+    return query.hit;
 }

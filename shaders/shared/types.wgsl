@@ -128,7 +128,7 @@ struct FrameParams {
     sky_ground: vec3<f32>,
     first_row: u32,
     sky_up: vec3<f32>,
-    _pad: u32,
+    max_rays: u32,
 }
 
 struct RayRecord {

@@ -3,10 +3,6 @@
 
 // Greatest number of reflections and refractions of a ray, whatever params.max_depth says.
 const MAX_DEPTH: u32 = 8u;
-// Most blended surfaces that a ray passes between two reflections or refractions.
-const MAX_LAYERS: u32 = 32u;
-// Most rays of a pixel, shadow rays not counted.
-const MAX_RAYS: u32 = 256u;
 // Rays of less throughput see the sky instead of the scene. For radiance up to 1 that cannot change an 8-bit pixel, as
 // half the smallest sRGB step is 0.5 / 255 / 12.92 = 1.24 * 2^-13; brighter radiance can.
 const MIN_THROUGHPUT: f32 = 1.220703125e-4; // 2^-13
@@ -24,65 +20,107 @@ struct Pixel {
     distance: f32,
     // Node slot, node version, primitive, instance; NONE (version 1: the null key) where the primary ray missed.
     ids: vec4<u32>,
+    // Whether the pixel needed more rays than params.max_rays.
+    is_limited: bool,
 }
 
+// A ray to be traced.
 struct PendingRay {
     origin: vec3<f32>,
-    bounces: u32,
     direction: vec3<f32>,
-    layers: u32,
+    // Which hits it has passed.
+    start: Continuation,
+    turn: Turn,
+    bounces: u32,
     // Factor by which its radiance contributes to the pixel.
     throughput: vec3<f32>,
 }
 
+// Where a refracted ray turns: if it hits nothing up to `t`, it goes on from `origin` in `direction`. Up to there it
+// goes straight on, but what it hits is shaded as seen along `direction`. F32_MAX for a ray that does not turn.
+struct Turn {
+    t: f32,
+    origin: vec3<f32>,
+    direction: vec3<f32>,
+}
+
 struct RayTree {
     color: vec3<f32>,
+    // Whether the pixel has used up its rays.
+    is_limited: bool,
     pending_count: u32,
     pending: array<PendingRay, MAX_PENDING>,
 }
 
+// A ray from a point, with nothing passed yet.
+fn new_ray(origin: vec3<f32>, direction: vec3<f32>, bounces: u32, throughput: vec3<f32>) -> PendingRay {
+    let never = Turn(F32_MAX, vec3<f32>(0.0), vec3<f32>(0.0));
+    return PendingRay(origin, direction, start_of_ray(), never, bounces, throughput);
+}
+
+fn turns(ray: PendingRay) -> bool {
+    return NEEDS_REFRACTION && ray.turn.t < F32_MAX;
+}
+
+// The direction along which light arrives, reversed.
+fn view_direction(ray: PendingRay) -> vec3<f32> {
+    if turns(ray) {
+        return ray.turn.direction;
+    }
+    return ray.direction;
+}
+
 fn render_pixel(x: u32, y: u32) -> Pixel {
-    var pixel = Pixel(vec4<f32>(0.0), vec3<f32>(0.0), F32_MAX, vec4<u32>(NONE, 1u, NONE, NONE));
+    var pixel = Pixel(vec4<f32>(0.0), vec3<f32>(0.0), F32_MAX, vec4<u32>(NONE, 1u, NONE, NONE), false);
     let primary = camera_ray(x, y);
     var tree: RayTree;
     // Push the primary ray.
-    tree.pending[0] = PendingRay(primary.origin, 0u, primary.direction, 0u, vec3<f32>(1.0));
+    tree.pending[0] = new_ray(primary.origin, primary.direction, 0u, vec3<f32>(1.0));
     tree.pending_count = 1u;
-    for (var traced = 0u; traced < MAX_RAYS && tree.pending_count > 0u; traced += 1u) {
-        // Trace the next ray.
+    for (var traced = 0u; tree.pending_count > 0u; traced += 1u) {
+        // Pop the next ray. A pixel that has used up its rays sees what is opaque.
         tree.pending_count -= 1u;
         let ray = tree.pending[tree.pending_count];
-        let hit = closest_hit(RayRecord(ray.origin, 0.0, ray.direction, F32_MAX), params.ray_mask);
-        // Miss: the sky. Hit: shade, and push secondary rays.
-        if hit.instance == NONE {
+        tree.is_limited = tree.is_limited || traced >= params.max_rays;
+        var start = ray.start;
+        start.only_opaque = tree.is_limited;
+        // Trace it.
+        let hit = next_hit(RayRecord(ray.origin, t_min_of(start), ray.direction, ray.turn.t), start, params.ray_mask);
+        if hit.instance == NONE && turns(ray) {
+            // Nothing up to the turn: go on from there.
+            tree.pending[tree.pending_count] = new_ray(ray.turn.origin, ray.turn.direction, ray.bounces, ray.throughput);
+            tree.pending_count += 1u;
+        } else if hit.instance == NONE {
+            // Miss: the sky.
             tree.color += ray.throughput * sky_radiance(ray.direction);
         } else {
-            let surface = surface_at(hit, ray.direction);
+            // Hit: shade, and push secondary rays.
+            let surface = surface_at(hit, view_direction(ray));
             if traced == 0u {
                 pixel.normal = surface.normal;
                 pixel.distance = hit.t;
                 pixel.ids = vec4<u32>(instances[hit.instance].node_key, hit.primitive, hit.instance);
             }
-            shade(&tree, ray, surface);
+            shade(&tree, ray, hit, surface);
         }
     }
-    // Rays still pending after MAX_RAYS contribute sky radiance.
-    for (var i = 0u; i < tree.pending_count; i += 1u) {
-        tree.color += tree.pending[i].throughput * sky_radiance(tree.pending[i].direction);
-    }
     pixel.color = vec4<f32>(tree.color, 1.0);
+    pixel.is_limited = tree.is_limited;
     return pixel;
 }
 
 // Adds the surface's emitted and reflected radiance and pushes its secondary rays. The ray behind a blended surface is
 // pushed first, so it is traced last, and no other ray of this surface is pending then (see MAX_PENDING).
-fn shade(tree: ptr<function, RayTree>, ray: PendingRay, surface: Surface) {
+fn shade(tree: ptr<function, RayTree>, ray: PendingRay, hit: HitRecord, surface: Surface) {
+    let direction = view_direction(ray);
+    var behind = ray;
+    behind.start = start_behind(hit, instances[hit.instance].flags);
     // 1. Alpha blends the surface over the ray behind it.
     var throughput = ray.throughput;
     if NEEDS_BLEND && (surface.flags & MATERIAL_BLEND) != 0u {
         let alpha = surface.base_color.w;
-        let origin = offset_ray_origin(surface, ray.direction);
-        push_ray(tree, PendingRay(origin, ray.bounces, ray.direction, ray.layers + 1u, throughput * (1.0 - alpha)));
+        behind.throughput = throughput * (1.0 - alpha);
+        push_ray(tree, behind);
         throughput *= alpha;
     }
     if (surface.flags & MATERIAL_UNLIT) != 0u {
@@ -91,7 +129,7 @@ fn shade(tree: ptr<function, RayTree>, ray: PendingRay, surface: Surface) {
     }
 
     // 2. Add emitted light and the light reflected from the lights and the sky.
-    let to_viewer = -ray.direction;
+    let to_viewer = -direction;
     let cosine = dot3(surface.normal, to_viewer);
     let eta = relative_ior(surface);
     let lobes = lobe_weights(surface, cosine, eta);
@@ -108,28 +146,39 @@ fn shade(tree: ptr<function, RayTree>, ray: PendingRay, surface: Surface) {
 
     // 3. Push the refracted and the reflected ray.
     if NEEDS_REFRACTION && surface.transmission > 0.0 {
-        let direction = refracted_direction(surface, ray.direction, cosine, eta);
-        let origin = offset_ray_origin(surface, direction);
-        let transmitted = throughput * lobes.specular_transmission;
-        push_ray(tree, PendingRay(origin, ray.bounces + 1u, direction, 0u, transmitted));
+        if !surface.thin {
+            behind.turn = turn_at(ray, hit.t, surface, refracted_direction(surface, direction, cosine, eta));
+        }
+        behind.bounces = ray.bounces + 1u;
+        behind.throughput = throughput * lobes.specular_transmission;
+        push_ray(tree, behind);
     }
     if NEEDS_REFLECTION && sharp > 0.0 {
         let origin = offset_ray_origin(surface, reflected_direction);
         let reflected = throughput * (lobes.specular_reflection * sharp);
-        push_ray(tree, PendingRay(origin, ray.bounces + 1u, reflected_direction, 0u, reflected));
+        push_ray(tree, new_ray(origin, reflected_direction, ray.bounces + 1u, reflected));
     }
 }
 
-// Pushes a ray; beyond the depth or layer limit, or below MIN_THROUGHPUT, adds sky radiance instead.
+// Pushes a ray; beyond the depth limit, below MIN_THROUGHPUT, or if the pixel has used up its rays, adds sky radiance
+// instead.
 fn push_ray(tree: ptr<function, RayTree>, ray: PendingRay) {
-    let is_deep = ray.bounces > min(params.max_depth, MAX_DEPTH) || ray.layers > MAX_LAYERS;
-    let count = (*tree).pending_count;
-    if is_deep || max_component(ray.throughput) < MIN_THROUGHPUT || count == MAX_PENDING {
-        (*tree).color += ray.throughput * sky_radiance(ray.direction);
+    let is_deep = ray.bounces > min(params.max_depth, MAX_DEPTH);
+    let is_last = (*tree).is_limited || (*tree).pending_count == MAX_PENDING;
+    if is_deep || is_last || max_component(ray.throughput) < MIN_THROUGHPUT {
+        (*tree).color += ray.throughput * sky_radiance(view_direction(ray));
         return;
     }
-    (*tree).pending[count] = ray;
-    (*tree).pending_count = count + 1u;
+    (*tree).pending[(*tree).pending_count] = ray;
+    (*tree).pending_count += 1u;
+}
+
+// The turn of a ray that hits a surface at `t` and is refracted into `direction`. It comes after all that touches the
+// surface: twice the offset of secondary rays, and four steps of the order of hits, measured along the normal.
+fn turn_at(ray: PendingRay, t: f32, surface: Surface, direction: vec3<f32>) -> Turn {
+    let cosine = max(abs(dot3(ray.direction, surface.geometric_normal)), MIN_COSINE);
+    let turn_t = t + (2.0 * surface.ray_offset + 4.0 * TOUCH_STEP * t) / cosine;
+    return Turn(turn_t, offset_ray_origin(surface, direction), direction);
 }
 
 // Relative index of refraction, n of the viewer's side over n of the other (air = 1); 0 if the latter is infinite.
@@ -140,11 +189,8 @@ fn relative_ior(surface: Surface) -> f32 {
     return 1.0 / surface.ior;
 }
 
-// Direction of the transmitted ray: refracted by Snell's law, or unchanged by a thin wall.
+// Direction of the ray that enters or leaves a solid, by Snell's law; kept on the far side of the surface.
 fn refracted_direction(surface: Surface, direction: vec3<f32>, cosine: f32, eta: f32) -> vec3<f32> {
-    if surface.thin {
-        return direction;
-    }
     let bent = direction * eta + surface.normal * (eta * cosine - refracted_cosine(cosine, eta));
     return clamp_cosine(normalize_or(bent, direction), -surface.geometric_normal);
 }

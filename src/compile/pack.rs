@@ -117,9 +117,14 @@ pub(super) fn instance_flags(material: &Material) -> InstanceFlags {
     let blend = material.alpha_mode == AlphaMode::Blend;
     let mut flags = InstanceFlags::empty();
     flags.set(InstanceFlags::CULL_BACK, !material.double_sided && !transmissive);
-    flags.set(InstanceFlags::ALPHA_MASK, mask);
+    flags.set(InstanceFlags::ALPHA_MASK, mask || has_clear_parts(material));
     flags.set(InstanceFlags::TRANSLUCENT, mask || blend || transmissive);
     flags
+}
+
+/// Whether a blended material may be fully transparent somewhere: rays pass there, as through the holes of a mask.
+fn has_clear_parts(material: &Material) -> bool {
+    material.alpha_mode == AlphaMode::Blend && (material.base_color.w <= 0.0 || material.base_color_texture.is_some())
 }
 
 /// The kernel features that a material needs.
@@ -138,7 +143,7 @@ pub(super) fn material_needs(material: &Material) -> Needs {
     let mut needs = Needs::empty();
     needs.set(Needs::TEXTURES, textured.iter().any(Option::is_some));
     needs.set(Needs::NORMAL_TEXTURES, material.normal_texture.is_some());
-    needs.set(Needs::ALPHA_MASK, matches!(material.alpha_mode, AlphaMode::Mask { .. }));
+    needs.set(Needs::ALPHA_MASK, instance_flags(material).contains(InstanceFlags::ALPHA_MASK));
     needs.set(Needs::BLEND, material.alpha_mode == AlphaMode::Blend);
     needs.set(Needs::REFLECTION, !material.unlit && (sharp || transmissive));
     needs.set(Needs::REFRACTION, transmissive);

@@ -306,7 +306,8 @@ bitflags::bitflags! {
     pub struct InstanceFlags: u32 {
         /// Closest hits on back faces are rejected: the material is single-sided and not transmissive.
         const CULL_BACK = 1;
-        /// The material decides whether a candidate for the closest hit is a hole (alpha mask).
+        /// The material decides whether a candidate for the closest hit is a hole (alpha mask), or a fully transparent
+        /// part of a blended surface.
         const ALPHA_MASK = 2;
         /// An occlusion query must evaluate the material's transmittance (alpha mask, blend or transmission).
         const TRANSLUCENT = 4;
@@ -506,7 +507,8 @@ pub struct FrameParams {
     pub first_row: u32,
     /// The up direction of the sky, unit, in world space.
     pub sky_up: [f32; 3],
-    pub(crate) _pad: u32,
+    /// The most rays of a pixel, shadow rays not counted: see [`View::max_rays`](crate::View::max_rays).
+    pub max_rays: u32,
 }
 
 /// A ray of a batch query, in world space relative to the render origin. 32 bytes.

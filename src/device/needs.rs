@@ -15,7 +15,8 @@ bitflags::bitflags! {
         const NORMAL_TEXTURES = 2;
         /// Some geometry has vertex colours.
         const COLORS = 4;
-        /// Some material has an alpha mask: closest-hit queries test each candidate for a hole.
+        /// Some material has an alpha mask, or blends and may be fully transparent somewhere: closest-hit queries test
+        /// each candidate for a hole.
         const ALPHA_MASK = 8;
         /// Some material blends by alpha: paths continue behind its surface.
         const BLEND = 16;

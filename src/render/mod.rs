@@ -257,6 +257,15 @@ impl Frame<'_> {
         self.device.record_failure(self.device.tracer().read_image())
     }
 
+    /// How many pixels needed more rays than [`View::max_rays`], and show the nearest opaque surfaces instead of what
+    /// the rest of their rays would have met. On a GPU this blocks until the frame is complete.
+    ///
+    /// # Errors
+    /// As [`image`](Self::image).
+    pub fn limited_pixels(&self) -> Result<u64> {
+        self.device.record_failure(self.device.tracer().limited_pixels())
+    }
+
     /// The frame's linear radiance as an `Rgba32Float` texture on the renderer's device, for example to present it:
     /// bind it without filtering, or copy from it. `None` if the CPU traced the frame.
     #[cfg(feature = "gpu")]

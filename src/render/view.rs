@@ -34,6 +34,11 @@ pub struct View {
     pub height: u32,
     /// How many reflections and refractions a path may have, at most [`MAX_DEPTH`](Self::MAX_DEPTH).
     pub max_depth: u32,
+    /// The most rays of a pixel, at least 1; shadow rays are not counted. Each blended surface that a pixel is seen
+    /// through takes one, each reflection one, each refraction two. A pixel that needs more sees, for each ray that is
+    /// left, the nearest opaque surface instead: [`Frame::limited_pixels`](super::Frame::limited_pixels) counts these
+    /// pixels. 1024 by default.
+    pub max_rays: u32,
     /// Environment radiance: what rays see that leave the scene, and ambient light from all directions.
     pub sky: Sky,
     /// Rays pass through nodes whose mask has no bit in common with this.
@@ -54,6 +59,7 @@ impl View {
             width,
             height,
             max_depth: 3,
+            max_rays: 1024,
             sky: Sky::default(),
             ray_mask: u32::MAX,
             aovs: false,
@@ -114,6 +120,7 @@ impl View {
         let Sky { zenith, horizon, ground, up } = self.sky;
 
         require(self.max_depth <= Self::MAX_DEPTH, "depth", &self.max_depth, "at most View::MAX_DEPTH")?;
+        require(self.max_rays > 0, "max_rays", &self.max_rays, "at least 1")?;
         require(is_usable, "camera pose", pose, "finite, with no axis scaled to zero")?;
         self.camera.validate()?;
         require([zenith, horizon, ground].iter().all(|c| c.is_finite()), "sky", &self.sky, "finite")?;
@@ -212,7 +219,7 @@ impl View {
             sky_ground: self.sky.ground.to_array(),
             first_row: 0,
             sky_up: self.sky.up.normalize_or(Vec3::Y).to_array(),
-            _pad: 0,
+            max_rays: self.max_rays,
         }
     }
 

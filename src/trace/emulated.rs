@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::frame_buffer::FrameBuffer;
 use super::kernel::{
-    AnyQuery, ClosestQuery, KernelScene, Pixel, Query, RayQueries, TransmittanceQuery, any_hit, camera_ray,
+    AnyQuery, ClosestQuery, Continuation, KernelScene, Pixel, Query, RayQueries, TransmittanceQuery, any_hit, camera_ray,
     closest_hit, render_pixel, run_query,
 };
 use super::{DeviceInfo, FrameCounts, FrameRequest, Tracer, Traversal, TraversalCounts};
@@ -75,9 +75,9 @@ impl<'a> RayQueries<'a> for CountingQueries<'a> {
         self.scene
     }
 
-    fn closest_hit(&mut self, ray: &RayRecord, ray_mask: u32) -> HitRecord {
+    fn next_hit(&mut self, ray: &RayRecord, start: Continuation, ray_mask: u32) -> HitRecord {
         self.counts.radiance_rays += 1;
-        self.run_query(ray, ray_mask, ClosestQuery::new(ray.t_max)).result()
+        self.run_query(ray, ray_mask, ClosestQuery::behind(ray.t_max, start)).result()
     }
 
     fn transmittance(&mut self, ray: &RayRecord, ray_mask: u32) -> Vec3 {
@@ -134,6 +134,10 @@ impl Tracer for Emulated {
         }
         self.frame = frame;
         Ok(())
+    }
+
+    fn limited_pixels(&self) -> Result<u64> {
+        Ok(self.frame.limited_pixels)
     }
 
     fn read_image(&self) -> Result<Image> {

@@ -16,6 +16,8 @@ pub(crate) struct FrameBuffer {
     pub height: u32,
     pub color: Vec<[f32; 4]>,
     pub aovs: Option<AovBuffers>,
+    /// Number of pixels pushed that needed more rays than they may have.
+    pub limited_pixels: u64,
 }
 
 /// The auxiliary outputs: normal, depth and identifiers.
@@ -36,7 +38,7 @@ impl FrameBuffer {
         let pixels = Self::check_size(width, height)?;
         let aovs =
             aovs.then(|| AovBuffers { normal_depth: Vec::with_capacity(pixels), ids: Vec::with_capacity(pixels) });
-        Ok(Self { width, height, color: Vec::with_capacity(pixels), aovs })
+        Ok(Self { width, height, color: Vec::with_capacity(pixels), aovs, limited_pixels: 0 })
     }
 
     /// The number of pixels of a frame, or [`Error::Limit`] if there are too many.
@@ -49,6 +51,7 @@ impl FrameBuffer {
     /// Adds the next pixel.
     pub(crate) fn push(&mut self, pixel: &Pixel) {
         self.color.push(pixel.color.to_array());
+        self.limited_pixels += u64::from(pixel.is_limited);
         if let Some(aovs) = &mut self.aovs {
             aovs.normal_depth.push(pixel.normal.extend(pixel.distance).to_array());
             aovs.ids.push(pixel.ids);

@@ -57,6 +57,12 @@ pub trait Tracer {
     /// Copies the last frame rendered into an image.
     fn read_image(&self) -> Result<Image>;
 
+    /// How many pixels of the last frame needed more rays than [`FrameParams::max_rays`]; 0 for an executor that does
+    /// not count them.
+    fn limited_pixels(&self) -> Result<u64> {
+        Ok(0)
+    }
+
     /// The last frame's linear colour as an `Rgba32Float` texture, or `None` for executors without one. Usable as a
     /// non-filterable texture binding and as a copy source.
     #[cfg(feature = "gpu")]

@@ -7,7 +7,7 @@ use glam::Vec3;
 
 use super::frame_buffer::FrameBuffer;
 use super::kernel::{
-    AnyQuery, ClosestQuery, KernelScene, Query, RayQueries, SlabRay, TransmittanceQuery, TraversalCounter,
+    AnyQuery, ClosestQuery, Continuation, KernelScene, Query, RayQueries, SlabRay, TransmittanceQuery, TraversalCounter,
     TraversalRay, camera_ray, intersect_leaf, intersects_box, max_component, render_pixel, shear_ray,
 };
 use super::{DeviceInfo, FrameRequest, Tracer, TraversalCounts};
@@ -117,6 +117,10 @@ impl Tracer for Recursive {
         Ok(())
     }
 
+    fn limited_pixels(&self) -> Result<u64> {
+        Ok(self.frame.limited_pixels)
+    }
+
     fn read_image(&self) -> Result<Image> {
         Ok(self.frame.clone().into_image())
     }
@@ -124,7 +128,7 @@ impl Tracer for Recursive {
     fn closest_hits(&mut self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> Result<Vec<HitRecord>> {
         let scene = KernelScene::new(arrays);
         let tracer = TreeQueries { scene: &scene, trees: self.trees.as_ref() };
-        Ok(rays.iter().map(|ray| tracer.closest_hit(ray, ray_mask)).collect())
+        Ok(rays.iter().map(|ray| tracer.next_hit(ray, Continuation::START, ray_mask)).collect())
     }
 
     fn any_hits(&mut self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> Result<Vec<bool>> {
@@ -186,8 +190,8 @@ struct TreeQueries<'a> {
 }
 
 impl TreeQueries<'_> {
-    fn closest_hit(&self, ray: &RayRecord, ray_mask: u32) -> HitRecord {
-        self.run_query(ray, ray_mask, ClosestQuery::new(ray.t_max), &mut ()).result()
+    fn next_hit(&self, ray: &RayRecord, start: Continuation, ray_mask: u32) -> HitRecord {
+        self.run_query(ray, ray_mask, ClosestQuery::behind(ray.t_max, start), &mut ()).result()
     }
 
     fn any_hit(&self, ray: &RayRecord, ray_mask: u32) -> bool {
@@ -281,8 +285,8 @@ impl<'a> RayQueries<'a> for TreeQueries<'a> {
         self.scene
     }
 
-    fn closest_hit(&mut self, ray: &RayRecord, ray_mask: u32) -> HitRecord {
-        TreeQueries::closest_hit(self, ray, ray_mask)
+    fn next_hit(&mut self, ray: &RayRecord, start: Continuation, ray_mask: u32) -> HitRecord {
+        TreeQueries::next_hit(self, ray, start, ray_mask)
     }
 
     fn transmittance(&mut self, ray: &RayRecord, ray_mask: u32) -> Vec3 {

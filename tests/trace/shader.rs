@@ -179,7 +179,8 @@ fn rust_layouts() -> BTreeMap<String, Layout> {
             light_count,
             sky_ground,
             first_row,
-            sky_up
+            sky_up,
+            max_rays
         }),
         layout_of!(RayRecord { origin, t_min, direction, t_max }),
         layout_of!(RayBatch { count, ray_mask, first }),

@@ -11,7 +11,7 @@ use super::packet_traversal::HybridScratch;
 use super::simd::LANES;
 use crate::device::layout::{HitRecord, RayRecord};
 use crate::trace::Traversal;
-use crate::trace::kernel::{KernelScene, any_hit, closest_hit, transmittance};
+use crate::trace::kernel::{Continuation, KernelScene, any_hit, closest_hit, next_hit, transmittance};
 
 /// Packet queries of one task: scene, instruction set and scratch memory.
 pub(super) struct PacketTracer<'a> {
@@ -68,15 +68,36 @@ impl<'a> PacketTracer<'a> {
     /// be similar in origin and direction.
     pub(super) fn closest_hits(&mut self, rays: &[RayRecord], ray_mask: u32, hits: &mut [HitRecord]) {
         match self.simd_level {
-            Some(level) => self.trace_rays::<ClosestPacket>(level, rays, ray_mask, hits),
+            Some(level) => self.trace_rays::<ClosestPacket>(level, rays, ray_mask, |_, _| (), hits),
             None => hits.iter_mut().zip(rays).for_each(|(hit, ray)| *hit = closest_hit(self.scene, ray, ray_mask)),
+        }
+    }
+
+    /// Finds the next hit of each ray, behind those that it has passed.
+    pub(super) fn next_hits(
+        &mut self,
+        rays: &[RayRecord],
+        starts: &[Continuation],
+        ray_mask: u32,
+        hits: &mut [HitRecord],
+    ) {
+        match self.simd_level {
+            Some(level) => {
+                let prepare = |query: &mut ClosestPacket, packet: usize| query.set_starts(&starts[packet * LANES..]);
+                self.trace_rays(level, rays, ray_mask, prepare, hits);
+            }
+            None => {
+                for ((hit, ray), start) in hits.iter_mut().zip(rays).zip(starts) {
+                    *hit = next_hit(self.scene, ray, *start, ray_mask);
+                }
+            }
         }
     }
 
     /// Finds whether each ray hits an opaque surface.
     pub(super) fn any_hits(&mut self, rays: &[RayRecord], ray_mask: u32, hits: &mut [bool]) {
         match self.simd_level {
-            Some(level) => self.trace_rays::<AnyPacket>(level, rays, ray_mask, hits),
+            Some(level) => self.trace_rays::<AnyPacket>(level, rays, ray_mask, |_, _| (), hits),
             None => hits.iter_mut().zip(rays).for_each(|(hit, ray)| *hit = any_hit(self.scene, ray, ray_mask)),
         }
     }
@@ -84,35 +105,38 @@ impl<'a> PacketTracer<'a> {
     /// The transmittance of each ray between `t_min` and `t_max`, per colour channel.
     pub(super) fn transmittances(&mut self, rays: &[RayRecord], ray_mask: u32, transmittances: &mut [Vec3]) {
         match self.simd_level {
-            Some(level) => self.trace_rays::<TransmittancePacket>(level, rays, ray_mask, transmittances),
+            Some(level) => self.trace_rays::<TransmittancePacket>(level, rays, ray_mask, |_, _| (), transmittances),
             None => {
                 transmittances.iter_mut().zip(rays).for_each(|(t, ray)| *t = transmittance(self.scene, ray, ray_mask));
             }
         }
     }
 
-    /// Traces whole packets; a partial last packet is padded with rays of empty interval, which hit nothing.
+    /// Traces whole packets; a partial last packet is padded with rays of empty interval, which hit nothing. `prepare`
+    /// gets the initial state of each packet's query, and the packet's index.
     fn trace_rays<Q: PacketQuery<Output: Copy>>(
         &mut self,
         level: Level,
         rays: &[RayRecord],
         ray_mask: u32,
+        prepare: impl Fn(&mut Q, usize),
         results: &mut [Q::Output],
     ) {
         let (scene, scratch) = (self.scene, &mut *self.scratch);
-        let mut trace = |packets: &[[RayRecord; LANES]], results: &mut [[Q::Output; LANES]]| {
-            dispatch_simd!(level, simd => trace_packets::<_, Q>(simd, scene, scratch, packets, ray_mask, results));
+        let mut trace = |first: usize, packets: &[[RayRecord; LANES]], results: &mut [[Q::Output; LANES]]| {
+            let prepare = |query: &mut Q, packet: usize| prepare(query, first + packet);
+            dispatch_simd!(level, simd => trace_packets(simd, scene, scratch, packets, ray_mask, prepare, results));
         };
         // Trace whole packets.
         let (packets, rest) = rays.as_chunks();
         let (results, results_of_rest) = results.as_chunks_mut();
-        trace(packets, results);
+        trace(0, packets, results);
         // Pad the rest with empty rays.
         if let Some(first) = rest.first() {
             let mut packet = [RayRecord { t_max: f32::NEG_INFINITY, ..*first }; LANES];
             packet[..rest.len()].copy_from_slice(rest);
             let mut results = [Q::MISS; LANES];
-            trace(&[packet], std::array::from_mut(&mut results));
+            trace(packets.len(), &[packet], std::array::from_mut(&mut results));
             results_of_rest.copy_from_slice(&results[..rest.len()]);
         }
     }

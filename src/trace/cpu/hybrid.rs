@@ -23,7 +23,8 @@ use super::tlas_traversal::traverse_tlas_packet;
 use crate::device::layout::RayRecord;
 use crate::trace::kernel::KernelScene;
 
-/// Traces each packet and writes its results.
+/// Traces each packet and writes its results. `prepare` gets the initial state of each packet's query, and the packet's
+/// index.
 #[inline(always)]
 pub(super) fn trace_packets<S: Simd, Q: PacketQuery>(
     simd: S,
@@ -31,13 +32,15 @@ pub(super) fn trace_packets<S: Simd, Q: PacketQuery>(
     scratch: &mut HybridScratch,
     packets: &[[RayRecord; LANES]],
     ray_mask: u32,
+    prepare: impl Fn(&mut Q, usize),
     results: &mut [[Q::Output; LANES]],
 ) {
-    for (rays, results) in packets.iter().zip(results) {
+    for (index, (rays, results)) in packets.iter().zip(results).enumerate() {
         // Load 16 rays.
         let packet = RayPacket::new(simd, rays);
         // Traverse both levels.
         let mut queries = Q::new(packet.t_max);
+        prepare(&mut queries, index);
         trace_packet(simd, scene, scratch, &packet, ray_mask, &mut queries);
         // Write the results; for layered instances this traces further rays.
         *results = queries.outputs(simd, scene, rays, ray_mask);

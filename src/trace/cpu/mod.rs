@@ -117,6 +117,10 @@ impl Tracer for Cpu {
         Ok(())
     }
 
+    fn limited_pixels(&self) -> Result<u64> {
+        Ok(self.pixels.iter().filter(|pixel| pixel.is_limited).count() as u64)
+    }
+
     fn read_image(&self) -> Result<Image> {
         let mut frame = FrameBuffer::new(self.width, self.height, self.aovs)?;
         for y in 0..self.height {

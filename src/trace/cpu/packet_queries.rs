@@ -7,10 +7,10 @@ use glam::Vec3;
 
 use super::simd::{F32Lanes, LANES, lanes_of, load};
 use super::triangle_test::TriangleHits;
-use crate::device::layout::{HitRecord, InstanceFlags, InstanceRecord, NONE, RayRecord, WideNode};
+use crate::device::layout::{HitRecord, InstanceFlags, InstanceRecord, RayRecord, WideNode};
 use crate::trace::kernel::{
-    AnyQuery, ClosestQuery, KernelScene, Query, TransmittanceQuery, TriangleHit, candidate_hit, is_before, is_cut_out,
-    is_opaque_at,
+    AnyQuery, ClosestQuery, Continuation, HitOrder, KernelScene, Query, SAME_SURFACE_SCALE, T_BEFORE_SCALE,
+    TransmittanceQuery, TriangleHit, candidate_hit, depth_scale, is_cut_out, is_opaque_at,
 };
 
 /// The instance being traversed: its record and its BLAS.
@@ -128,6 +128,62 @@ pub(super) struct ClosestPacket {
     primitive: [u32; LANES],
     triangle: [u32; LANES],
     back: u64,
+    /// The depth of each lane's hit, and the greatest t of a hit that may come before it.
+    depth: F32Lanes,
+    t_max: F32Lanes,
+    starts: Continuations,
+}
+
+/// Where the rays of a packet go on, one lane each.
+#[repr(C, align(64))]
+struct Continuations {
+    depth: F32Lanes,
+    instance: [u32; LANES],
+    primitive: [u32; LANES],
+    back: u64,
+    on_edge: u64,
+    only_opaque: u64,
+}
+
+impl Continuations {
+    const START: Self = Self {
+        depth: [Continuation::START.passed.depth; LANES],
+        instance: [Continuation::START.passed.instance; LANES],
+        primitive: [Continuation::START.passed.primitive; LANES],
+        back: 0,
+        on_edge: 0,
+        only_opaque: 0,
+    };
+
+    #[inline(always)]
+    fn lane(&self, lane: usize) -> Continuation {
+        let is_set = |mask: u64| mask >> lane & 1 != 0;
+        let (depth, instance, primitive) = (self.depth[lane], self.instance[lane], self.primitive[lane]);
+        Continuation {
+            passed: HitOrder { depth, instance, primitive },
+            is_back: is_set(self.back),
+            is_on_edge: is_set(self.on_edge),
+            only_opaque: is_set(self.only_opaque),
+        }
+    }
+
+    fn set_lane(&mut self, lane: usize, start: &Continuation) {
+        let HitOrder { depth, instance, primitive } = start.passed;
+        (self.depth[lane], self.instance[lane], self.primitive[lane]) = (depth, instance, primitive);
+        let set = |mask: &mut u64, is_set: bool| *mask = *mask & !(1 << lane) | u64::from(is_set) << lane;
+        set(&mut self.back, start.is_back);
+        set(&mut self.on_edge, start.is_on_edge);
+        set(&mut self.only_opaque, start.only_opaque);
+    }
+}
+
+impl ClosestPacket {
+    /// Lets the rays go on behind hits that they have passed.
+    pub(super) fn set_starts(&mut self, starts: &[Continuation]) {
+        for (lane, start) in starts.iter().take(LANES).enumerate() {
+            self.starts.set_lane(lane, start);
+        }
+    }
 }
 
 #[inline(always)]
@@ -145,23 +201,25 @@ impl PacketQuery for ClosestPacket {
     fn new<S: Simd>(t_max: f32x16<S>) -> Self {
         let HitRecord { u, v, instance, primitive, triangle, .. } = HitRecord::MISS;
         Self {
-            t: t_max.into(),
+            t: [HitRecord::MISS.t; LANES],
             u: [u; LANES],
             v: [v; LANES],
             instance: [instance; LANES],
             primitive: [primitive; LANES],
             triangle: [triangle; LANES],
             back: 0,
+            depth: [HitOrder::LAST.depth; LANES],
+            t_max: t_max.into(),
+            starts: Continuations::START,
         }
     }
 
     #[inline(always)]
     fn outputs<S: Simd>(&self, simd: S, _: &KernelScene<'_>, _: &[RayRecord; LANES], _: u32) -> [HitRecord; LANES] {
         let bits = |v: [u32; LANES]| u32x16::simd_from(simd, v).bitcast::<f32x16<S>>();
-        let is_miss = u32x16::simd_from(simd, self.instance).simd_eq(NONE);
         let back = mask32x16::from_bitmask(simd, self.back).select(u32x16::splat(simd, 1), u32x16::splat(simd, 0));
         let v = [
-            is_miss.select(f32x16::splat(simd, f32::MAX), load(simd, self.t)),
+            load(simd, self.t),
             load(simd, self.u),
             load(simd, self.v),
             bits(self.instance),
@@ -180,7 +238,7 @@ impl PacketQuery for ClosestPacket {
 
     #[inline(always)]
     fn t_max(&self) -> &F32Lanes {
-        &self.t
+        &self.t_max
     }
 
     #[inline(always)]
@@ -195,11 +253,12 @@ impl PacketQuery for ClosestPacket {
             back_face: (self.back >> lane & 1) as u32,
             _pad: 0,
         };
-        ClosestQuery { hit }
+        ClosestQuery { start: self.starts.lane(lane), hit, depth: self.depth[lane], t_max: self.t_max[lane] }
     }
 
     #[inline(always)]
-    fn set_query(&mut self, lane: usize, ClosestQuery { hit }: ClosestQuery) {
+    fn set_query(&mut self, lane: usize, ClosestQuery { hit, depth, t_max, .. }: ClosestQuery) {
+        (self.depth[lane], self.t_max[lane]) = (depth, t_max);
         self.t[lane] = hit.t;
         self.u[lane] = hit.u;
         self.v[lane] = hit.v;
@@ -222,11 +281,22 @@ impl PacketQuery for ClosestPacket {
         let flags = geometry.instance.flags;
         let primitive = geometry.scene.triangles[triangle as usize].primitive;
         let mut lanes = lanes;
-        // Break ties by instance and primitive.
-        let t = load(simd, self.t);
-        for lane in lanes_of(at.t.simd_eq(t).to_bitmask() & lanes) {
+        // Candidates at or before the first hit so far; break ties by instance and primitive.
+        let [front_scale, back_scale] = [false, true].map(|is_back| f32x16::splat(simd, depth_scale(is_back, flags)));
+        let depth = at.t * mask32x16::from_bitmask(simd, at.back).select(back_scale, front_scale);
+        let first_depth = load(simd, self.depth);
+        lanes &= depth.simd_le(first_depth).to_bitmask();
+        for lane in lanes_of(depth.simd_eq(first_depth).to_bitmask() & lanes) {
+            let order = HitOrder { depth: depth.as_array()[lane], instance: geometry.index, primitive };
+            let first = self.query(lane).first();
+            lanes &= !(u64::from(!order.is_before(&first)) << lane);
+        }
+        // Drop what the ray has passed.
+        let passed_end = load(simd, self.starts.depth) * SAME_SURFACE_SCALE;
+        for lane in lanes_of(depth.simd_le(passed_end).to_bitmask() & lanes) {
             let candidate = geometry.candidate(triangle, &hit_of_lane(at, lane));
-            lanes &= !(u64::from(!is_before(&candidate, &self.query(lane).hit)) << lane);
+            let is_next = self.starts.lane(lane).is_before(&candidate, &HitOrder::of(&candidate, flags));
+            lanes &= !(u64::from(!is_next) << lane);
         }
         // Cull back faces.
         if geometry.has_flags(InstanceFlags::CULL_BACK) {
@@ -239,15 +309,25 @@ impl PacketQuery for ClosestPacket {
                 lanes &= !(u64::from(is_cut_out(geometry.scene, &candidate, flags)) << lane);
             }
         }
+        // Rays that pass what is translucent.
+        if geometry.has_flags(InstanceFlags::TRANSLUCENT) {
+            for lane in lanes_of(lanes & self.starts.only_opaque) {
+                let candidate = geometry.candidate(triangle, &hit_of_lane(at, lane));
+                lanes &= !(u64::from(!is_opaque_at(geometry.scene, &candidate, flags)) << lane);
+            }
+        }
         // Keep the candidates that are left.
-        let is_closer = mask32x16::from_bitmask(simd, lanes);
+        let is_first = mask32x16::from_bitmask(simd, lanes);
         let set = |words: &mut [u32; LANES], word: u32| {
             let old = u32x16::simd_from(simd, *words);
-            *words = is_closer.select(u32x16::splat(simd, word), old).into();
+            *words = is_first.select(u32x16::splat(simd, word), old).into();
         };
-        self.t = is_closer.select(at.t, t).into();
-        self.u = is_closer.select(at.u, load(simd, self.u)).into();
-        self.v = is_closer.select(at.v, load(simd, self.v)).into();
+        let t_max = load(simd, self.t_max);
+        self.t = is_first.select(at.t, load(simd, self.t)).into();
+        self.depth = is_first.select(depth, first_depth).into();
+        self.t_max = is_first.select(t_max.min(depth * T_BEFORE_SCALE), t_max).into();
+        self.u = is_first.select(at.u, load(simd, self.u)).into();
+        self.v = is_first.select(at.v, load(simd, self.v)).into();
         set(&mut self.instance, geometry.index);
         set(&mut self.primitive, primitive);
         set(&mut self.triangle, triangle);
@@ -420,7 +500,7 @@ mod tests {
 
     use super::*;
     use crate::device::DeviceArrays;
-    use crate::device::layout::{GeometryRecord, MaterialFlags, MaterialRecord, Triangle};
+    use crate::device::layout::{GeometryRecord, MaterialFlags, MaterialRecord, NONE, Triangle};
 
     /// Triangles whose alpha goes from 0 at the first vertex to 1 at the other two.
     fn arrays(material: MaterialFlags, flags: InstanceFlags) -> DeviceArrays {

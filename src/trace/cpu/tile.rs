@@ -5,7 +5,9 @@ use glam::Vec3;
 
 use super::dispatch::PacketTracer;
 use crate::device::layout::{FrameParams, HitRecord, LightRecord, RayRecord};
-use crate::trace::kernel::{KernelScene, LightSample, Pixel, RayTree, SurfaceHit, active_lights, camera_ray};
+use crate::trace::kernel::{
+    Continuation, KernelScene, LightSample, Pixel, RayTree, SurfaceHit, active_lights, camera_ray,
+};
 
 /// Side in pixels of the block whose primary rays form one packet (4 x 4 = 16); blocks at the image's edges are
 /// smaller.
@@ -18,6 +20,8 @@ pub(super) struct TileTracer<'a> {
     /// The wavefront's rays, and for each the index of its path (closest hit) or surface (shadow).
     rays: Vec<RayRecord>,
     ray_owners: Vec<usize>,
+    /// Where each of the wavefront's rays goes on.
+    starts: Vec<Continuation>,
     hits: Vec<HitRecord>,
     surfaces: Vec<PendingSurface>,
     light_samples: Vec<LightSample>,
@@ -39,6 +43,7 @@ impl<'a> TileTracer<'a> {
             paths: Vec::new(),
             rays: Vec::new(),
             ray_owners: Vec::new(),
+            starts: Vec::new(),
             hits: Vec::new(),
             surfaces: Vec::new(),
             light_samples: Vec::new(),
@@ -71,7 +76,7 @@ impl<'a> TileTracer<'a> {
         }
         // 4. Write the pixels.
         for ([x, y], path) in pixel_positions.zip(&mut self.paths) {
-            pixels[(y * columns + x) as usize] = path.finish(params);
+            pixels[(y * columns + x) as usize] = path.finish();
         }
     }
 
@@ -80,15 +85,17 @@ impl<'a> TileTracer<'a> {
         // Gather the next rays.
         self.rays.clear();
         self.ray_owners.clear();
+        self.starts.clear();
         for (index, path) in self.paths.iter_mut().enumerate() {
-            if let Some(ray) = path.next_ray() {
+            if let Some((ray, start)) = path.next_ray(params) {
                 self.rays.push(ray);
+                self.starts.push(start);
                 self.ray_owners.push(index);
             }
         }
         // Trace them.
         self.hits.resize(self.rays.len(), HitRecord::MISS);
-        self.tracer.closest_hits(&self.rays, params.ray_mask, &mut self.hits);
+        self.tracer.next_hits(&self.rays, &self.starts, params.ray_mask, &mut self.hits);
         // Record the hits, and collect the surfaces.
         self.surfaces.clear();
         for (&path, hit) in self.ray_owners.iter().zip(&self.hits) {

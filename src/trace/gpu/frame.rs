@@ -37,7 +37,11 @@ const MAX_STAGING_BYTES: u64 = 64 << 20;
 /// Bytes per pixel of every output: four 32-bit numbers.
 const PIXEL_BYTES: u32 = 16;
 
-/// Layout of bind group 1 of the entry points that render: parameters and output textures.
+/// Size of the count of limited pixels, in bytes.
+const COUNTER_BYTES: u64 = size_of::<u32>() as u64;
+
+/// Layout of bind group 1 of the entry points that render: parameters, output textures, and the count of limited
+/// pixels.
 pub(super) fn layout(context: &Context) -> wgpu::BindGroupLayout {
     let output = |binding, format| wgpu::BindGroupLayoutEntry {
         binding,
@@ -65,6 +69,16 @@ pub(super) fn layout(context: &Context) -> wgpu::BindGroupLayout {
             output(1, TextureFormat::Rgba32Float),
             output(2, TextureFormat::Rgba32Float),
             output(3, TextureFormat::Rgba32Uint),
+            wgpu::BindGroupLayoutEntry {
+                binding: 4,
+                visibility: wgpu::ShaderStages::COMPUTE,
+                ty: wgpu::BindingType::Buffer {
+                    ty: wgpu::BufferBindingType::Storage { read_only: false },
+                    has_dynamic_offset: false,
+                    min_binding_size: wgpu::BufferSize::new(COUNTER_BYTES),
+                },
+                count: None,
+            },
         ],
     })
 }
@@ -87,6 +101,8 @@ pub(super) struct FrameTextures {
     color: wgpu::Texture,
     normal_depth: wgpu::Texture,
     ids: wgpu::Texture,
+    /// Number of pixels that needed more rays than [`FrameParams::max_rays`].
+    limited_pixels: wgpu::Buffer,
     /// Parameters of each dispatch, `stride` bytes apart, for the greatest number of dispatches.
     params: wgpu::Buffer,
     stride: usize,
@@ -131,11 +147,13 @@ impl FrameTextures {
             size_of::<FrameParams>().next_multiple_of(context.limits.min_uniform_buffer_offset_alignment as usize);
         let slots = 1 + height.div_ceil(WORKGROUP_ROWS) as usize;
         let params = context.buffer("frame", (slots * stride) as u64, BufferUsages::UNIFORM | BufferUsages::COPY_DST);
+        let counter_usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC | BufferUsages::COPY_DST;
+        let limited_pixels = context.buffer("limited pixels", COUNTER_BYTES, counter_usage);
         // Bind parameters and outputs.
         let view = |texture: &wgpu::Texture| texture.create_view(&wgpu::TextureViewDescriptor::default());
         let outputs = [&view(&color), &view(&normal_depth), &view(&ids)];
-        let bind_group = bind(context, layout, &params, outputs);
-        Self { width, height, aovs, color, normal_depth, ids, params, stride, bind_group }
+        let bind_group = bind(context, layout, &params, outputs, &limited_pixels);
+        Self { width, height, aovs, color, normal_depth, ids, limited_pixels, params, stride, bind_group }
     }
 
     /// Whether these textures can be reused for such a frame.
@@ -212,8 +230,9 @@ impl FrameTextures {
             }
         });
         let bands = bands.collect();
-        // Upload all slots in one write.
+        // Upload all slots in one write, and count from 0.
         context.queue.write_buffer(&self.params, 0, &bytes);
+        context.queue.write_buffer(&self.limited_pixels, 0, &0_u32.to_le_bytes());
         bands
     }
 
@@ -227,7 +246,18 @@ impl FrameTextures {
             }),
             false => None,
         };
-        Ok(FrameBuffer { width: self.width, height: self.height, color, aovs })
+        Ok(FrameBuffer { width: self.width, height: self.height, color, aovs, limited_pixels: 0 })
+    }
+
+    /// Reads the number of limited pixels back; blocks until the frame is done.
+    pub(super) fn read_limited_pixels(&self, context: &Context) -> Result<u64> {
+        context.with_error_scopes(READING, || {
+            let staging = context.staging(COUNTER_BYTES);
+            context.submit(READING, |encoder| {
+                encoder.copy_buffer_to_buffer(&self.limited_pixels, 0, &staging, 0, COUNTER_BYTES);
+            })?;
+            context.read(READING, &staging, COUNTER_BYTES, |bytes| bytemuck::pod_read_unaligned::<u32>(bytes).into())
+        })
     }
 
     /// Reads a texture's pixels, row by row. The GPU pads each row, and a large image is read in parts.
@@ -261,18 +291,19 @@ impl FrameTextures {
     }
 }
 
-/// Creates the bind group: parameters (a dynamic offset selects the dispatch), output textures.
+/// Creates the bind group: parameters (a dynamic offset selects the dispatch), output textures, and the count.
 fn bind(
     context: &Context,
     layout: &wgpu::BindGroupLayout,
     params: &wgpu::Buffer,
     outputs: [&wgpu::TextureView; 3],
+    limited_pixels: &wgpu::Buffer,
 ) -> wgpu::BindGroup {
     let size = wgpu::BufferSize::new(size_of::<FrameParams>() as u64);
     let dispatch_params = wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer: params, offset: 0, size });
     let outputs = outputs.map(wgpu::BindingResource::TextureView);
     let entries: Vec<_> = (0..)
-        .zip(std::iter::once(dispatch_params).chain(outputs))
+        .zip(std::iter::once(dispatch_params).chain(outputs).chain([limited_pixels.as_entire_binding()]))
         .map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource })
         .collect();
     context.device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some("frame"), layout, entries: &entries })
@@ -302,7 +333,7 @@ fn copy_rows(
 /// Greatest number of rays that a pixel may need: those of its ray tree, and for each a shadow ray to every light.
 fn max_rays_of_pixel(request: &FrameRequest) -> u64 {
     let lights = if request.needs.contains(Needs::LIGHTS) { request.params.light_count } else { 0 };
-    u64::from(max_rays_per_pixel(request.params.max_depth, request.needs)) * (1 + u64::from(lights))
+    u64::from(max_rays_per_pixel(&request.params, request.needs)) * (1 + u64::from(lights))
 }
 
 /// Rows per dispatch: whole workgroups, and at least one even where that exceeds the budget, as it does for wide images
@@ -325,7 +356,7 @@ mod tests {
     use super::*;
 
     fn rays(needs: Needs, max_depth: u32, light_count: u32) -> u64 {
-        let params = FrameParams { max_depth, light_count, ..FrameParams::zeroed() };
+        let params = FrameParams { max_depth, light_count, max_rays: 256, ..FrameParams::zeroed() };
         max_rays_of_pixel(&FrameRequest { params, needs, aovs: false })
     }
 
@@ -335,7 +366,8 @@ mod tests {
         assert_eq!(rays(Needs::empty(), 3, 9), 1, "lights that are not needed cast no shadows");
         assert_eq!(rays(Needs::LIGHTS, 3, 9), 10);
         assert_eq!(rays(Needs::LIGHTS | Needs::REFLECTION, 3, 4), 4 * 5);
-        assert_eq!(rays(mirrors, 3, 0), 1 + 2 + 4 + 8);
+        assert_eq!(rays(mirrors, 3, 0), 2 * (1 + 2 + 4 + 8), "a refracted ray is traced twice");
+        assert_eq!(rays(mirrors | Needs::BLEND, 3, 0), 256 + 2 * 17, "the limit, and what is pending then");
 
         assert_eq!(band_rows(1024, 1), 256);
         assert_eq!(band_rows(1024, 32), 256);

@@ -278,6 +278,10 @@ impl Tracer for GpuTracer {
         self.timer.as_ref()?.read(&self.context).ok()
     }
 
+    fn limited_pixels(&self) -> Result<u64> {
+        self.frame.as_ref().map_or(Ok(0), |frame| frame.read_limited_pixels(&self.context))
+    }
+
     fn read_image(&self) -> Result<Image> {
         match (&self.frame, &self.empty_frame) {
             (Some(frame), _) => Ok(frame.read(&self.context)?.into_image()),

@@ -34,7 +34,8 @@ pub(crate) fn triangle_point(
     TrianglePoint { streams, vertices, weights: Vec3::new((1.0 - u) - v, u, v) }
 }
 
-/// Alpha test: whether a masked material is cut out at this point. Evaluated for each closest-hit candidate.
+/// Alpha test: whether a masked material is cut out at this point, or a blended one fully transparent. Evaluated for
+/// each closest-hit candidate.
 pub(crate) fn fails_alpha_test(
     scene: &KernelScene<'_>,
     instance: &InstanceRecord,
@@ -43,10 +44,9 @@ pub(crate) fn fails_alpha_test(
     v: f32,
 ) -> bool {
     let material = &scene.materials[instance.material as usize];
-    if !has_flags(material, MaterialFlags::MASK) {
-        return false;
-    }
-    base_color_at(scene, material, &triangle_point(scene, instance, primitive, u, v)).w < material.alpha_cutoff
+    let alpha = base_color_at(scene, material, &triangle_point(scene, instance, primitive, u, v)).w;
+    (has_flags(material, MaterialFlags::MASK) && alpha < material.alpha_cutoff)
+        || (has_flags(material, MaterialFlags::BLEND) && alpha <= 0.0)
 }
 
 /// Transmittance of a surface to a shadow ray: 1 where the alpha test fails; else the transmitted share, of blended

@@ -32,11 +32,11 @@ pub(crate) use light::LightSample;
 #[cfg(test)]
 pub(crate) use query::is_layered;
 pub(crate) use query::{
-    AnyQuery, ClosestQuery, Query, TransmittanceQuery, candidate_hit, intersect_leaf, is_before, is_culled, is_cut_out,
-    is_opaque_at,
+    AnyQuery, ClosestQuery, Continuation, HitOrder, Query, SAME_SURFACE_SCALE, T_BEFORE_SCALE, TransmittanceQuery, candidate_hit,
+    depth_scale, intersect_leaf, is_culled, is_cut_out, is_opaque_at,
 };
 pub(crate) use traversal_state::{TraversalCounter, TraversalRay};
-pub(crate) use traverse::{RayQueries, any_hit, closest_hit, run_query, transmittance};
+pub(crate) use traverse::{RayQueries, any_hit, closest_hit, next_hit, run_query, transmittance};
 #[cfg(feature = "gpu")]
 pub(crate) use whitted::max_rays_per_pixel;
 pub(crate) use whitted::{MAX_DEPTH, Pixel, RayTree, SurfaceHit, active_lights, render_pixel};
@@ -132,7 +132,8 @@ mod tests {
             sky { COSINE_INTEGRAL_6, COSINE_INTEGRAL_4, COSINE_INTEGRAL_2, COSINE_INTEGRAL_0 }
             brdf { SHARP_REFLECTION_ROUGHNESS, MIN_HIGHLIGHT_ROUGHNESS }
             wide { TLAS_STACK_SIZE, TLAS_LEAF_BIT, BLAS_STACK_SIZE, PENDING_CHILDREN_MASK, NO_ENTRY }
-            whitted { MAX_DEPTH, MAX_LAYERS, MAX_RAYS, MIN_THROUGHPUT, MAX_PENDING }
+            whitted { MAX_DEPTH, MIN_THROUGHPUT, MAX_PENDING }
+            query { TOUCH_STEP, T_BEFORE_SCALE, SAME_SURFACE_SCALE, EDGE_WEIGHT }
         };
         let others = [
             ("NONE", NONE.to_string()),

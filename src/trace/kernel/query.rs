@@ -10,6 +10,7 @@ use glam::Vec3;
 
 use super::KernelScene;
 use super::intersect::{TriangleHit, intersect_triangle, max_component};
+use super::math::{max, min};
 use super::material::{fails_alpha_test, surface_transmittance};
 use super::traversal_state::TraversalRay;
 use super::traverse::transmittance_of_layers;
@@ -49,23 +50,159 @@ pub(crate) trait Query: Copy {
     fn accept_hit(&mut self, scene: &KernelScene<'_>, candidate: &HitRecord, flags: u32);
 }
 
+/// Relative width of one step of the order in which a ray meets surfaces that touch, see [`HitOrder`]: 2^-19, about
+/// twice the rounding of t of a plane that is not seen at grazing angles.
+pub(crate) const TOUCH_STEP: f32 = 1.0 / (1 << 19) as f32;
+/// Barycentric weight up to which a hit counts as one on the edge of its triangle: the rounding of the weights.
+pub(crate) const EDGE_WEIGHT: f32 = 1.0 / (1 << 22) as f32;
+
+/// The place of a hit in the order in which a ray meets surfaces: by depth, then by instance, then by primitive. Depth
+/// is t, but that of a translucent surface is two [steps](TOUCH_STEP) less, that of a back face one step more. So where
+/// surfaces touch, a translucent one (a label on a wall, glass on a table) is met before an opaque one, and of the
+/// faces of a closed surface the one that faces the ray before the other. Elsewhere that changes nothing.
+///
+/// Only the ray and the triangle enter, so that the order is the same whatever else was visited, and in whatever order.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct HitOrder {
+    pub(crate) depth: f32,
+    pub(crate) instance: u32,
+    pub(crate) primitive: u32,
+}
+
+impl HitOrder {
+    /// After all hits.
+    pub(crate) const LAST: Self = Self { depth: f32::MAX, instance: NONE, primitive: NONE };
+
+    #[inline(always)]
+    pub(crate) fn of(hit: &HitRecord, flags: u32) -> Self {
+        let depth = hit.t * depth_scale(hit.back_face != 0, flags);
+        Self { depth, instance: hit.instance, primitive: hit.primitive }
+    }
+
+    #[inline(always)]
+    pub(crate) fn is_before(&self, other: &Self) -> bool {
+        if self.depth != other.depth {
+            return self.depth < other.depth;
+        }
+        (self.instance, self.primitive) < (other.instance, other.primitive)
+    }
+}
+
+/// The depth of a hit over its t.
+#[inline(always)]
+pub(crate) fn depth_scale(is_back: bool, flags: u32) -> f32 {
+    match (is_back, has_flags(flags, InstanceFlags::TRANSLUCENT)) {
+        (false, false) => 1.0,
+        (true, false) => 1.0 + TOUCH_STEP,
+        (false, true) => 1.0 - 2.0 * TOUCH_STEP,
+        (true, true) => 1.0 - TOUCH_STEP,
+    }
+}
+
+/// Times a depth: the greatest t of a hit that may come before a hit at that depth.
+pub(crate) const T_BEFORE_SCALE: f32 = 1.0 + 4.0 * TOUCH_STEP;
+/// Times the depth of the hit that was passed: the greatest depth of what may be the same surface once more.
+pub(crate) const SAME_SURFACE_SCALE: f32 = 1.0 + 2.0 * TOUCH_STEP;
+
+/// Where a ray goes on: behind a hit that it has passed. The next hit is then the first one after that in the
+/// [order](HitOrder) of hits, so that a ray through many layers meets each of them once, however close they are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Continuation {
+    pub(crate) passed: HitOrder,
+    /// Whether the hit that was passed was a back face, and whether it was on an edge of its triangle.
+    pub(crate) is_back: bool,
+    pub(crate) is_on_edge: bool,
+    /// Whether the ray passes all translucent surfaces.
+    pub(crate) only_opaque: bool,
+}
+
+impl Continuation {
+    /// A ray that has passed nothing yet.
+    pub(crate) const START: Self = Self {
+        passed: HitOrder { depth: -1.0, instance: NONE, primitive: NONE },
+        is_back: false,
+        is_on_edge: false,
+        only_opaque: false,
+    };
+
+    /// A ray that has passed a hit of an instance with these flags.
+    pub(crate) fn behind(hit: &HitRecord, flags: u32) -> Self {
+        let (is_back, is_on_edge) = (hit.back_face != 0, is_on_edge(hit));
+        Self { passed: HitOrder::of(hit, flags), is_back, is_on_edge, only_opaque: false }
+    }
+
+    /// The least t of a hit that may come next.
+    pub(crate) fn t_min(&self) -> f32 {
+        max(self.passed.depth * (1.0 - 2.0 * TOUCH_STEP), 0.0)
+    }
+
+    /// Whether a hit comes after the one that was passed. A ray along an edge hits both of its triangles: the second
+    /// one is the same surface once more, and does not count.
+    #[inline(always)]
+    pub(crate) fn is_before(&self, hit: &HitRecord, order: &HitOrder) -> bool {
+        let is_same_surface = hit.instance == self.passed.instance
+            && (hit.back_face != 0) == self.is_back
+            && order.depth <= self.passed.depth * SAME_SURFACE_SCALE
+            && (self.is_on_edge || is_on_edge(hit));
+        self.passed.is_before(order) && !is_same_surface
+    }
+}
+
+/// Whether a hit is on an edge of its triangle, to within rounding.
+#[inline(always)]
+fn is_on_edge(hit: &HitRecord) -> bool {
+    min(min(hit.u, hit.v), (1.0 - hit.u) - hit.v) <= EDGE_WEIGHT
+}
+
 /// State of [`closest_hit`](super::closest_hit).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct ClosestQuery {
-    /// The closest hit so far; before the first one `t` is the ray's `t_max` and `instance` is [`NONE`].
+    /// Where the ray goes on.
+    pub(crate) start: Continuation,
+    /// The first hit so far; before one is found its `instance` is [`NONE`].
     pub(crate) hit: HitRecord,
+    /// The depth of `hit`.
+    pub(crate) depth: f32,
+    /// The greatest t of a hit that may come before `hit`, or the ray's `t_max`.
+    pub(crate) t_max: f32,
 }
 
 impl ClosestQuery {
+    /// For the first hit of a ray.
     #[inline(always)]
     pub(crate) fn new(t_max: f32) -> Self {
-        Self { hit: HitRecord { t: t_max, ..HitRecord::MISS } }
+        Self::behind(t_max, Continuation::START)
     }
 
-    /// The closest of all candidates offered, or [`HitRecord::MISS`].
+    /// For the first hit of a ray that goes on.
+    #[inline(always)]
+    pub(crate) fn behind(t_max: f32, start: Continuation) -> Self {
+        Self { start, hit: HitRecord::MISS, depth: HitOrder::LAST.depth, t_max }
+    }
+
+    /// The first of all candidates offered, or [`HitRecord::MISS`].
     #[inline(always)]
     pub(crate) fn result(&self) -> HitRecord {
-        if self.hit.instance == NONE { HitRecord::MISS } else { self.hit }
+        self.hit
+    }
+
+    /// The place of the first hit so far, after all hits before one is found.
+    #[inline(always)]
+    pub(crate) fn first(&self) -> HitOrder {
+        HitOrder { depth: self.depth, instance: self.hit.instance, primitive: self.hit.primitive }
+    }
+
+    /// Whether a candidate comes before the first hit so far, but after the one that the ray has passed.
+    #[inline(always)]
+    fn is_first(&self, candidate: &HitRecord, order: &HitOrder) -> bool {
+        order.is_before(&self.first()) && self.start.is_before(candidate, order)
+    }
+
+    /// Makes a candidate the first hit.
+    #[inline(always)]
+    fn keep(&mut self, candidate: &HitRecord, order: &HitOrder) {
+        (self.hit, self.depth) = (*candidate, order.depth);
+        self.t_max = min(self.t_max, order.depth * T_BEFORE_SCALE);
     }
 }
 
@@ -74,10 +211,10 @@ impl Query for ClosestQuery {
 
     #[inline(always)]
     fn t_max(&self) -> f32 {
-        self.hit.t
+        self.t_max
     }
 
-    /// Never: a closer hit may follow.
+    /// Never: an earlier hit may follow.
     #[inline(always)]
     fn is_decided(&self) -> bool {
         false
@@ -85,8 +222,13 @@ impl Query for ClosestQuery {
 
     #[inline(always)]
     fn accept_hit(&mut self, scene: &KernelScene<'_>, candidate: &HitRecord, flags: u32) {
-        if is_before(candidate, &self.hit) && !is_culled(candidate, flags) && !is_cut_out(scene, candidate, flags) {
-            self.hit = *candidate;
+        let order = HitOrder::of(candidate, flags);
+        if self.is_first(candidate, &order)
+            && !is_culled(candidate, flags)
+            && !is_cut_out(scene, candidate, flags)
+            && (!self.start.only_opaque || is_opaque_at(scene, candidate, flags))
+        {
+            self.keep(candidate, &order);
         }
     }
 }
@@ -176,31 +318,20 @@ impl Query for TransmittanceQuery {
     }
 }
 
-/// Finds the first hit of a [layered](is_layered) instance after another one, in the order of t, instance and
-/// primitive.
+/// Finds the first hit of a [layered](is_layered) instance behind another one: a [`ClosestQuery`] of only these, which
+/// neither culls nor tests alpha.
 #[derive(Clone, Copy)]
-pub(super) struct LayerQuery {
-    /// The layer before.
-    last: HitRecord,
-    /// The first hit after `last` so far; before one is found `t` is the ray's `t_max` and `instance` is [`NONE`].
-    pub(super) hit: HitRecord,
-}
-
-impl LayerQuery {
-    pub(super) fn new(t_max: f32, last: HitRecord) -> Self {
-        Self { last, hit: HitRecord { t: t_max, ..HitRecord::MISS } }
-    }
-}
+pub(super) struct LayerQuery(pub(super) ClosestQuery);
 
 impl Query for LayerQuery {
     const ORDER: VisitOrder = VisitOrder::NearFirst;
 
     #[inline(always)]
     fn t_max(&self) -> f32 {
-        self.hit.t
+        self.0.t_max
     }
 
-    /// Never: a closer layer may follow.
+    /// Never: an earlier layer may follow.
     #[inline(always)]
     fn is_decided(&self) -> bool {
         false
@@ -212,9 +343,10 @@ impl Query for LayerQuery {
     }
 
     #[inline(always)]
-    fn accept_hit(&mut self, _: &KernelScene<'_>, candidate: &HitRecord, _: u32) {
-        if is_before(&self.last, candidate) && is_before(candidate, &self.hit) {
-            self.hit = *candidate;
+    fn accept_hit(&mut self, _: &KernelScene<'_>, candidate: &HitRecord, flags: u32) {
+        let order = HitOrder::of(candidate, flags);
+        if self.0.is_first(candidate, &order) {
+            self.0.keep(candidate, &order);
         }
     }
 }
@@ -246,16 +378,6 @@ pub(crate) fn intersect_leaf(
 pub(crate) fn candidate_hit(instance: u32, triangle: u32, primitive: u32, hit: &TriangleHit) -> HitRecord {
     let &TriangleHit { t, u, v, back } = hit;
     HitRecord { t, u, v, instance, primitive, triangle, back_face: u32::from(back), ..HitRecord::MISS }
-}
-
-/// Whether one hit comes before another: the nearer one; of hits at equal t the one of the lower instance, then the
-/// lower primitive.
-#[inline(always)]
-pub(crate) fn is_before(a: &HitRecord, b: &HitRecord) -> bool {
-    if a.t != b.t {
-        return a.t < b.t;
-    }
-    (a.instance, a.primitive) < (b.instance, b.primitive)
 }
 
 /// Whether a candidate is a back face of an instance whose back faces are culled.

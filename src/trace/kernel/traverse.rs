@@ -7,7 +7,8 @@ use super::KernelScene;
 use super::intersect::max_component;
 use super::math::max;
 use super::query::{
-    AnyQuery, ClosestQuery, LayerQuery, Query, TransmittanceQuery, candidate_transmittance, intersect_leaf,
+    AnyQuery, ClosestQuery, Continuation, LayerQuery, Query, TransmittanceQuery, candidate_transmittance,
+    intersect_leaf,
 };
 use super::rope::RopeTraversal;
 use super::traversal_state::{LeafTraversal, TraversalCounter};
@@ -19,8 +20,8 @@ use crate::trace::Traversal;
 pub(crate) trait RayQueries<'a> {
     fn scene(&self) -> &'a KernelScene<'a>;
 
-    /// See [`closest_hit`].
-    fn closest_hit(&mut self, ray: &RayRecord, ray_mask: u32) -> HitRecord;
+    /// See [`next_hit`].
+    fn next_hit(&mut self, ray: &RayRecord, start: Continuation, ray_mask: u32) -> HitRecord;
 
     /// See [`transmittance`].
     fn transmittance(&mut self, ray: &RayRecord, ray_mask: u32) -> Vec3;
@@ -31,8 +32,8 @@ impl<'a> RayQueries<'a> for &'a KernelScene<'a> {
         self
     }
 
-    fn closest_hit(&mut self, ray: &RayRecord, ray_mask: u32) -> HitRecord {
-        closest_hit(self, ray, ray_mask)
+    fn next_hit(&mut self, ray: &RayRecord, start: Continuation, ray_mask: u32) -> HitRecord {
+        next_hit(self, ray, start, ray_mask)
     }
 
     fn transmittance(&mut self, ray: &RayRecord, ray_mask: u32) -> Vec3 {
@@ -40,9 +41,16 @@ impl<'a> RayQueries<'a> for &'a KernelScene<'a> {
     }
 }
 
-/// The closest hit in [`t_min`, `t_max`]; of hits at equal t the one of the lower instance, then the lower primitive.
+/// The first hit in [`t_min`, `t_max`], in the [order of hits](super::query::HitOrder): the closest, but for surfaces
+/// that touch.
 pub(crate) fn closest_hit(scene: &KernelScene<'_>, ray: &RayRecord, ray_mask: u32) -> HitRecord {
-    let (query, ()) = run_query(scene, ray, ray_mask, ClosestQuery::new(ray.t_max));
+    next_hit(scene, ray, Continuation::START, ray_mask)
+}
+
+/// The first hit in [`t_min`, `t_max`] of a ray that goes on behind one that it has passed; `t_min` should be
+/// [`Continuation::t_min`].
+pub(crate) fn next_hit(scene: &KernelScene<'_>, ray: &RayRecord, start: Continuation, ray_mask: u32) -> HitRecord {
+    let (query, ()) = run_query(scene, ray, ray_mask, ClosestQuery::behind(ray.t_max, start));
     query.result()
 }
 
@@ -59,30 +67,32 @@ pub(crate) fn transmittance(scene: &KernelScene<'_>, ray: &RayRecord, ray_mask: 
     query.with_layers(scene, ray, ray_mask)
 }
 
-/// Transmittance of [layered](super::is_layered) instances, found by repeated closest-hit traversals that each start
-/// at the last hit.
+/// Transmittance of [layered](super::is_layered) instances, found by repeated closest-hit traversals that each go on
+/// behind the last hit.
 pub(crate) fn transmittance_of_layers(scene: &KernelScene<'_>, ray: &RayRecord, ray_mask: u32) -> Vec3 {
     let mut transmittance = Vec3::ONE;
-    let mut layer = HitRecord { t: -1.0, ..HitRecord::MISS };
+    let mut start = Continuation::START;
     loop {
-        // Find the next layer after the last one.
-        layer = next_layer(scene, ray, ray_mask, layer);
+        // Find the next layer behind the last one.
+        let layer = next_layer(scene, ray, start, ray_mask);
         if layer.instance == NONE {
             return transmittance;
         }
         // Multiply by its transmittance; an opaque one ends the ray.
-        transmittance *= candidate_transmittance(scene, &layer, scene.instances[layer.instance as usize].flags);
+        let flags = scene.instances[layer.instance as usize].flags;
+        transmittance *= candidate_transmittance(scene, &layer, flags);
         if max_component(transmittance) <= 0.0 {
             return Vec3::ZERO;
         }
+        start = Continuation::behind(&layer, flags);
     }
 }
 
-/// The first hit of a [layered](super::is_layered) instance after `last`, in the order of t, instance and primitive.
-fn next_layer(scene: &KernelScene<'_>, ray: &RayRecord, ray_mask: u32, last: HitRecord) -> HitRecord {
-    let rest = RayRecord { t_min: max(ray.t_min, last.t), ..*ray };
-    let (query, ()) = run_query(scene, &rest, ray_mask, LayerQuery::new(ray.t_max, last));
-    query.hit
+/// The first hit of a layered instance behind the one that the ray has passed.
+fn next_layer(scene: &KernelScene<'_>, ray: &RayRecord, start: Continuation, ray_mask: u32) -> HitRecord {
+    let rest = RayRecord { t_min: max(ray.t_min, start.t_min()), ..*ray };
+    let (query, ()) = run_query(scene, &rest, ray_mask, LayerQuery(ClosestQuery::behind(ray.t_max, start)));
+    query.0.result()
 }
 
 /// Runs a query by the scene's traversal; returns its final state and what a counter counted (`()` counts nothing).

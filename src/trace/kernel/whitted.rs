@@ -3,9 +3,10 @@
 //! its caller here, so that callers can trace the rays of many pixels together.
 //!
 //! What is approximate:
-//! - A ray too deep ([`FrameParams::max_depth`], at most [`MAX_DEPTH`]), behind too many blended layers
-//!   ([`MAX_LAYERS`]), or with throughput below [`MIN_THROUGHPUT`] sees the sky instead of the scene; so do the rays
-//!   after the first [`MAX_RAYS`] of a pixel. This keeps energy: under a uniform sky the image does not change.
+//! - A ray too deep ([`FrameParams::max_depth`], at most [`MAX_DEPTH`]) or with throughput below [`MIN_THROUGHPUT`]
+//!   sees the sky instead of the scene. This keeps energy: under a uniform sky the image does not change.
+//! - After the first [`FrameParams::max_rays`] of a pixel, each pending ray sees the nearest opaque surface, and what
+//!   that reflects is the sky.
 //! - The sky's light is not shadowed: there is no ambient occlusion.
 //! - Nearly smooth surfaces reflect the scene sharply, rough ones a blurred sky; in between the two are mixed. Rough
 //!   glass transmits as sharply as smooth glass.
@@ -14,6 +15,11 @@
 //!   passes straight. `KHR_materials_transmission` alone means thin walls everywhere, but then a glass sphere would not
 //!   refract. Which side is inside follows from the winding; nested solids are each refracted against air. A solid is
 //!   tinted by its base colour once, by the square root at each crossing.
+//!
+//! Rays that go straight on, through blended surfaces and thin walls, stay the same ray: it goes on behind the hit, in
+//! the order of hits ([`Continuation`]), so that no layer is skipped or counted twice, however close they are. A ray
+//! that is refracted first goes straight on as well, past all that touches the surface, to within rounding, and turns
+//! there ([`Turn`]): what touches a solid (a table below a glass) is met by the ray that met the solid.
 
 use glam::{Vec3, Vec4, Vec4Swizzles as _};
 
@@ -21,10 +27,11 @@ use super::KernelScene;
 use super::brdf::{lobe_weights, refracted_cosine, traced_reflection_share};
 use super::intersect::max_component;
 use super::light::{LightSample, sample_light};
-use super::math::dot3;
+use super::math::{dot3, max};
 use super::offset::offset_ray_origin;
+use super::query::{Continuation, TOUCH_STEP};
 use super::sky::{sky_blurred, sky_irradiance_over_pi, sky_radiance};
-use super::surface::{Surface, clamp_cosine, normalize_or, surface_at};
+use super::surface::{MIN_COSINE, Surface, clamp_cosine, normalize_or, surface_at};
 use super::traverse::RayQueries;
 #[cfg(feature = "gpu")]
 use crate::device::Needs;
@@ -33,10 +40,6 @@ use crate::device::layout::{FrameParams, HitRecord, LightRecord, MaterialFlags, 
 /// Greatest number of reflections and refractions of a ray, whatever `max_depth` says:
 /// [`View::MAX_DEPTH`](crate::View::MAX_DEPTH).
 pub(crate) const MAX_DEPTH: u32 = 8;
-/// Most blended surfaces that a ray passes between two reflections or refractions.
-pub(super) const MAX_LAYERS: u32 = 32;
-/// Most rays of a pixel, shadow rays not counted.
-pub(super) const MAX_RAYS: u32 = 256;
 /// Rays of less throughput see the sky instead of the scene. For radiance up to 1 that cannot change an 8-bit pixel, as
 /// half the smallest sRGB step is 0.5 / 255 / 12.92 = 1.24 * 2^-13; brighter radiance can.
 pub(super) const MIN_THROUGHPUT: f32 = 1.0 / (1 << 13) as f32;
@@ -47,15 +50,18 @@ pub(super) const MIN_THROUGHPUT: f32 = 1.0 / (1 << 13) as f32;
 /// In WGSL, where private memory is scarce, 1, 9 or 17 by the scene's needs; here always 17.
 pub(super) const MAX_PENDING: usize = 1 + 2 * MAX_DEPTH as usize;
 
-/// Upper bound on rays per pixel, shadow rays not counted, by which dispatches are sized.
+/// Upper bound on rays per pixel, shadow rays not counted, by which dispatches are sized. A refracted ray counts twice,
+/// before and after its turn; those pending after `max_rays` are traced as well.
 #[cfg(feature = "gpu")]
-pub(crate) fn max_rays_per_pixel(max_depth: u32, needs: Needs) -> u32 {
-    let depth = max_depth.min(MAX_DEPTH);
+pub(crate) fn max_rays_per_pixel(params: &FrameParams, needs: Needs) -> u32 {
+    let depth = params.max_depth.min(MAX_DEPTH);
+    let limit = params.max_rays.saturating_add(2 * MAX_PENDING as u32);
     match [Needs::BLEND, Needs::REFLECTION, Needs::REFRACTION].map(|need| needs.contains(need)) {
-        [true, ..] => MAX_RAYS,
-        [false, true, true] => ((2 << depth) - 1).min(MAX_RAYS),
+        [true, ..] => limit,
+        [false, true, true] => (2 * ((2 << depth) - 1)).min(limit),
         [false, false, false] => 1,
-        [false, ..] => 1 + depth,
+        [false, false, true] => (1 + 2 * depth).min(limit),
+        [false, true, false] => (1 + depth).min(limit),
     }
 }
 
@@ -70,22 +76,62 @@ pub(crate) struct Pixel {
     pub distance: f32,
     /// Node slot, node version, primitive, instance; [`NONE`] (version 1: the null key) where the primary ray missed.
     pub ids: [u32; 4],
+    /// Whether the pixel needed more rays than [`FrameParams::max_rays`].
+    pub is_limited: bool,
 }
 
 impl Pixel {
     /// Outputs where the primary ray missed.
-    pub(crate) const MISS: Self =
-        Self { color: Vec4::ZERO, normal: Vec3::ZERO, distance: f32::MAX, ids: [NONE, 1, NONE, NONE] };
+    pub(crate) const MISS: Self = Self {
+        color: Vec4::ZERO,
+        normal: Vec3::ZERO,
+        distance: f32::MAX,
+        ids: [NONE, 1, NONE, NONE],
+        is_limited: false,
+    };
 }
 
+/// A ray to be traced.
 #[derive(Clone, Copy)]
 struct PendingRay {
     origin: Vec3,
-    bounces: u32,
     direction: Vec3,
-    layers: u32,
+    /// Which hits it has passed.
+    start: Continuation,
+    turn: Turn,
+    bounces: u32,
     /// Factor by which its radiance contributes to the pixel.
     throughput: Vec3,
+}
+
+/// Where a refracted ray turns: if it hits nothing up to `t`, it goes on from `origin` in `direction`. Up to there it
+/// goes straight on, but what it hits is shaded as seen along `direction`.
+#[derive(Clone, Copy)]
+struct Turn {
+    t: f32,
+    origin: Vec3,
+    direction: Vec3,
+}
+
+impl Turn {
+    /// For a ray that does not turn.
+    const NEVER: Self = Self { t: f32::MAX, origin: Vec3::ZERO, direction: Vec3::ZERO };
+}
+
+impl PendingRay {
+    /// A ray from a point, with nothing passed yet.
+    fn new(origin: Vec3, direction: Vec3, bounces: u32, throughput: Vec3) -> Self {
+        Self { origin, direction, start: Continuation::START, turn: Turn::NEVER, bounces, throughput }
+    }
+
+    fn turns(&self) -> bool {
+        self.turn.t < f32::MAX
+    }
+
+    /// The direction along which light arrives, reversed.
+    fn view_direction(&self) -> Vec3 {
+        if self.turns() { self.turn.direction } else { self.direction }
+    }
 }
 
 /// A pixel in progress: radiance so far and a stack of pending rays.
@@ -103,6 +149,10 @@ pub(crate) struct RayTree {
 pub(crate) struct SurfaceHit {
     ray: PendingRay,
     surface: Surface,
+    /// Distance along the ray.
+    t: f32,
+    /// Where the ray goes on behind the surface.
+    behind: Continuation,
 }
 
 impl SurfaceHit {
@@ -111,7 +161,7 @@ impl SurfaceHit {
         if self.surface.flags.contains(MaterialFlags::UNLIT) {
             return None;
         }
-        sample_light(light, &self.surface, -self.ray.direction)
+        sample_light(light, &self.surface, -self.ray.view_direction())
     }
 }
 
@@ -121,9 +171,9 @@ pub(crate) fn render_pixel<'a>(rays: &mut impl RayQueries<'a>, params: &FramePar
     // Push the primary ray.
     tree.reset(primary);
     let scene = rays.scene();
-    while let Some(ray) = tree.next_ray() {
+    while let Some((ray, start)) = tree.next_ray(params) {
         // Trace the next ray; a miss adds the sky.
-        let hit = rays.closest_hit(&ray, params.ray_mask);
+        let hit = rays.next_hit(&ray, start, params.ray_mask);
         let Some(surface_hit) = tree.record_hit(scene, params, &hit) else { continue };
         // Sample the lights.
         let samples = active_lights(scene, params).iter().filter_map(|light| surface_hit.light_sample(light));
@@ -132,7 +182,7 @@ pub(crate) fn render_pixel<'a>(rays: &mut impl RayQueries<'a>, params: &FramePar
         // Shade, and push secondary rays.
         tree.shade(params, &surface_hit, light);
     }
-    tree.finish(params)
+    tree.finish()
 }
 
 /// The first `params.light_count` lights.
@@ -143,8 +193,7 @@ pub(crate) fn active_lights<'a>(scene: &KernelScene<'a>, params: &FrameParams) -
 impl Default for RayTree {
     /// A finished pixel without pending rays.
     fn default() -> Self {
-        let nowhere =
-            PendingRay { origin: Vec3::ZERO, bounces: 0, direction: Vec3::ZERO, layers: 0, throughput: Vec3::ZERO };
+        let nowhere = PendingRay::new(Vec3::ZERO, Vec3::ZERO, 0, Vec3::ZERO);
         Self {
             pixel: Pixel::MISS,
             color: Vec3::ZERO,
@@ -160,24 +209,26 @@ impl RayTree {
     pub(crate) fn reset(&mut self, primary: &RayRecord) {
         let [origin, direction] = [primary.origin, primary.direction].map(Vec3::from_array);
         (self.pixel, self.color, self.traced_rays) = (Pixel::MISS, Vec3::ZERO, 0);
-        self.pending[0] = PendingRay { origin, bounces: 0, direction, layers: 0, throughput: Vec3::ONE };
+        self.pending[0] = PendingRay::new(origin, direction, 0, Vec3::ONE);
         self.pending_count = 1;
     }
 
-    /// Pops the next ray to trace, or `None` when the pixel is finished. The caller traces it, passes the hit to
-    /// [`record_hit`](Self::record_hit) and, if that returns a surface, the lights' radiance to [`shade`](Self::shade).
-    pub(crate) fn next_ray(&mut self) -> Option<RayRecord> {
-        // A pixel that has used up its rays is finished.
-        if self.traced_rays == MAX_RAYS {
-            return None;
-        }
+    /// Pops the next ray to trace, and what it has passed, or `None` when the pixel is finished. The caller traces it,
+    /// passes the hit to [`record_hit`](Self::record_hit) and, if that returns a surface, the lights' radiance to
+    /// [`shade`](Self::shade).
+    pub(crate) fn next_ray(&mut self, params: &FrameParams) -> Option<(RayRecord, Continuation)> {
         self.pending_count = self.pending_count.checked_sub(1)?;
-        let PendingRay { origin, direction, .. } = self.pending[self.pending_count];
-        Some(RayRecord { origin: origin.to_array(), t_min: 0.0, direction: direction.to_array(), t_max: f32::MAX })
+        // A pixel that has used up its rays sees what is opaque.
+        let is_limited = self.traced_rays >= params.max_rays;
+        self.pixel.is_limited |= is_limited;
+        let PendingRay { origin, direction, start, turn, .. } = self.pending[self.pending_count];
+        let start = Continuation { only_opaque: is_limited, ..start };
+        let [origin, direction] = [origin, direction].map(|v| v.to_array());
+        Some((RayRecord { origin, t_min: start.t_min(), direction, t_max: turn.t }, start))
     }
 
-    /// Records the hit of the current ray: a miss adds sky radiance and returns `None`; a hit returns the surface to
-    /// shade.
+    /// Records the hit of the current ray. A hit returns the surface to shade. A miss returns `None`: it adds sky
+    /// radiance, or, of a ray that turns, pushes the ray from there on.
     pub(crate) fn record_hit(
         &mut self,
         scene: &KernelScene<'_>,
@@ -186,34 +237,42 @@ impl RayTree {
     ) -> Option<SurfaceHit> {
         let ray = self.pending[self.pending_count];
         self.traced_rays += 1;
+        // Nothing up to the turn: go on from there.
+        if hit.instance == NONE && ray.turns() {
+            let Turn { origin, direction, .. } = ray.turn;
+            self.pending[self.pending_count] = PendingRay::new(origin, direction, ray.bounces, ray.throughput);
+            self.pending_count += 1;
+            return None;
+        }
         // Miss: add the sky.
         if hit.instance == NONE {
             self.color += ray.throughput * sky_radiance(params, ray.direction);
             return None;
         }
         // Hit: reconstruct the surface.
-        let surface = surface_at(scene, hit, ray.direction);
+        let surface = surface_at(scene, hit, ray.view_direction());
+        let instance = &scene.instances[hit.instance as usize];
         // The first ray is the primary ray: it gives the pixel's normal, distance and identifiers.
         if self.traced_rays == 1 {
-            let [slot, version] = scene.instances[hit.instance as usize].node_key;
+            let [slot, version] = instance.node_key;
             self.pixel.normal = surface.normal;
             self.pixel.distance = hit.t;
             self.pixel.ids = [slot, version, hit.primitive, hit.instance];
         }
-        Some(SurfaceHit { ray, surface })
+        Some(SurfaceHit { ray, surface, t: hit.t, behind: Continuation::behind(hit, instance.flags) })
     }
 
     /// Adds the surface's emitted and reflected radiance, `light` of it from lights, and pushes its secondary rays. The
     /// ray behind a blended surface is pushed first, so it is traced last, and no other ray of this surface is pending
     /// then (see [`MAX_PENDING`]).
-    pub(crate) fn shade(&mut self, params: &FrameParams, SurfaceHit { ray, surface }: &SurfaceHit, light: Vec3) {
+    pub(crate) fn shade(&mut self, params: &FrameParams, hit: &SurfaceHit, light: Vec3) {
+        let SurfaceHit { ray, surface, .. } = hit;
+        let direction = ray.view_direction();
         // 1. Alpha blends the surface over the ray behind it.
         let mut throughput = ray.throughput;
         if surface.flags.contains(MaterialFlags::BLEND) {
             let alpha = surface.base_color.w;
-            let origin = offset_ray_origin(surface, ray.direction);
-            let behind = PendingRay { origin, layers: ray.layers + 1, throughput: throughput * (1.0 - alpha), ..*ray };
-            self.push_ray(params, behind);
+            self.push_ray(params, PendingRay { start: hit.behind, throughput: throughput * (1.0 - alpha), ..*ray });
             throughput *= alpha;
         }
         // Unlit surfaces show their base colour, and nothing else.
@@ -223,7 +282,7 @@ impl RayTree {
         }
 
         // 2. Add emitted light and the light reflected from the lights and the sky.
-        let to_viewer = -ray.direction;
+        let to_viewer = -direction;
         let cosine = dot3(surface.normal, to_viewer);
         let eta = relative_ior(surface);
         let lobes = lobe_weights(surface, cosine, eta);
@@ -239,42 +298,47 @@ impl RayTree {
         self.color += throughput * radiance;
 
         // 3. Push the refracted and the reflected ray.
-        let depth = ray.bounces + 1;
+        let bounces = ray.bounces + 1;
         if surface.transmission > 0.0 {
-            let direction = refracted_direction(surface, ray.direction, cosine, eta);
-            let origin = offset_ray_origin(surface, direction);
+            let turn = if surface.thin { ray.turn } else { hit.turn(refracted_direction(surface, direction, cosine, eta)) };
             let throughput = throughput * lobes.specular_transmission;
-            self.push_ray(params, PendingRay { origin, bounces: depth, direction, layers: 0, throughput });
+            self.push_ray(params, PendingRay { start: hit.behind, turn, bounces, throughput, ..*ray });
         }
         if sharp > 0.0 {
             let origin = offset_ray_origin(surface, reflected_direction);
             let throughput = throughput * (lobes.specular_reflection * sharp);
-            self.push_ray(
-                params,
-                PendingRay { origin, bounces: depth, direction: reflected_direction, layers: 0, throughput },
-            );
+            self.push_ray(params, PendingRay::new(origin, reflected_direction, bounces, throughput));
         }
     }
 
-    /// Pushes a ray; beyond the depth or layer limit, or below [`MIN_THROUGHPUT`], adds sky radiance instead.
+    /// Pushes a ray; beyond the depth limit, below [`MIN_THROUGHPUT`], or if the pixel has used up its rays, adds sky
+    /// radiance instead.
     fn push_ray(&mut self, params: &FrameParams, ray: PendingRay) {
-        let is_deep = ray.bounces > params.max_depth.min(MAX_DEPTH) || ray.layers > MAX_LAYERS;
-        let count = self.pending_count;
+        let is_deep = ray.bounces > params.max_depth.min(MAX_DEPTH);
+        let is_last = self.pixel.is_limited || self.pending_count == MAX_PENDING;
         // Cut off: the sky stands in for what the ray would have met.
-        if is_deep || max_component(ray.throughput) < MIN_THROUGHPUT || count == MAX_PENDING {
-            self.color += ray.throughput * sky_radiance(params, ray.direction);
+        if is_deep || is_last || max_component(ray.throughput) < MIN_THROUGHPUT {
+            self.color += ray.throughput * sky_radiance(params, ray.view_direction());
             return;
         }
-        self.pending[count] = ray;
-        self.pending_count = count + 1;
+        self.pending[self.pending_count] = ray;
+        self.pending_count += 1;
     }
 
-    /// Returns the finished pixel. Rays still pending after [`MAX_RAYS`] contribute sky radiance.
-    pub(crate) fn finish(&mut self, params: &FrameParams) -> Pixel {
-        for ray in &self.pending[..self.pending_count] {
-            self.color += ray.throughput * sky_radiance(params, ray.direction);
-        }
+    /// Returns the finished pixel.
+    pub(crate) fn finish(&self) -> Pixel {
         Pixel { color: self.color.extend(1.0), ..self.pixel }
+    }
+}
+
+impl SurfaceHit {
+    /// The turn of a ray that is refracted into `direction`. It comes after all that touches the surface: twice the
+    /// offset of secondary rays, and four steps of the order of hits, measured along the normal.
+    fn turn(&self, direction: Vec3) -> Turn {
+        let Self { ray, surface, t, .. } = self;
+        let cosine = max(dot3(ray.direction, surface.geometric_normal).abs(), MIN_COSINE);
+        let t = t + (2.0 * surface.ray_offset + 4.0 * TOUCH_STEP * t) / cosine;
+        Turn { t, origin: offset_ray_origin(surface, direction), direction }
     }
 }
 
@@ -286,12 +350,8 @@ fn relative_ior(surface: &Surface) -> f32 {
     1.0 / surface.ior
 }
 
-/// Direction of the transmitted ray: refracted by Snell's law, or unchanged by a thin wall.
+/// Direction of the ray that enters or leaves a solid, by Snell's law; kept on the far side of the surface.
 fn refracted_direction(surface: &Surface, direction: Vec3, cosine: f32, eta: f32) -> Vec3 {
-    if surface.thin {
-        return direction;
-    }
-    // Refract by Snell's law, and keep the ray on the far side of the surface.
     let bent = direction * eta + surface.normal * (eta * cosine - refracted_cosine(cosine, eta));
     clamp_cosine(normalize_or(bent, direction), -surface.geometric_normal)
 }

@@ -4,6 +4,7 @@
 
 mod devices;
 mod furnace;
+mod layers;
 mod lights;
 mod paths;
 mod scenes;
