@@ -112,18 +112,16 @@ fn intersect_triangle(ray: ShearRay, triangle: Triangle) -> TriangleHit {
     let y = vec3<f32>(dot3(ray.y_row, a), dot3(ray.y_row, b), dot3(ray.y_row, c));
     let t = vec3<f32>(dot3(ray.t_row, a), dot3(ray.t_row, b), dot3(ray.t_row, c));
 
-    let z_extent = max(-min_component(t), max_component(t)) * ray.t_to_sheared;
+    // Depths in units of sheared x and y: the tolerances grow with them.
+    let x_abs = abs(x);
+    let y_abs = abs(y);
+    let z = abs(t) * ray.t_to_sheared;
 
-    // 1. Reject the ray if it misses the projected triangle's bounds by more than the rounding error.
-    let x_min = min_component(x);
-    let x_max = max_component(x);
-    let y_min = min_component(y);
-    let y_max = max_component(y);
-    let x_extent = max(-x_min, x_max);
-    let y_extent = max(-y_min, y_max);
-    let x_tolerance = CORNER_TOLERANCE * (z_extent + x_extent);
-    let y_tolerance = CORNER_TOLERANCE * (z_extent + y_extent);
-    if x_min > x_tolerance || x_max < -x_tolerance || y_min > y_tolerance || y_max < -y_tolerance {
+    // 1. Reject the ray if it misses the projected triangle's bounds by more than the rounding error of each corner.
+    let x_tolerance = (z + x_abs) * CORNER_TOLERANCE;
+    let y_tolerance = (z + y_abs) * CORNER_TOLERANCE;
+    if min_component(x - x_tolerance) > 0.0 || max_component(x + x_tolerance) < 0.0
+        || min_component(y - y_tolerance) > 0.0 || max_component(y + y_tolerance) < 0.0 {
         return TriangleHit();
     }
 
@@ -132,15 +130,18 @@ fn intersect_triangle(ray: ShearRay, triangle: Triangle) -> TriangleHit {
     var weights = vec3<f32>(x.z * y.y - y.z * x.y, x.x * y.z - y.x * x.z, x.y * y.x - y.y * x.x);
     let back = (weights.x + weights.y) + weights.z < 0.0;
     weights = select(weights, -weights, back);
-    let tolerance = EDGE_TOLERANCE * (z_extent * (x_extent + y_extent) + 4.0 * (x_extent * y_extent));
+    let x_extent = max_component(x_abs);
+    let y_extent = max_component(y_abs);
+    let tolerance = EDGE_TOLERANCE * (max_component(z) * (x_extent + y_extent) + 4.0 * (x_extent * y_extent));
     if min_component(weights) < -tolerance {
         return TriangleHit();
     }
-    // Near an edge, repeat the test with the tighter tolerance of each edge's own two vertices (point 2).
-    if min_component(weights) < 0.0 {
-        let edge_x = greater_of_others(abs(x));
-        let edge_y = greater_of_others(abs(y));
-        let edge_z = greater_of_others(abs(t)) * ray.t_to_sheared;
+    // Outside an edge, repeat the test with the tighter tolerance of each edge's own two vertices (point 2).
+    let is_outside = min_component(weights) < 0.0;
+    if is_outside {
+        let edge_x = greater_of_others(x_abs);
+        let edge_y = greater_of_others(y_abs);
+        let edge_z = greater_of_others(z);
         let tolerances = EDGE_TOLERANCE * (edge_z * (edge_x + edge_y) + 4.0 * (edge_x * edge_y));
         if min_component(weights + tolerances) < 0.0 {
             return TriangleHit();
@@ -154,8 +155,12 @@ fn intersect_triangle(ray: ShearRay, triangle: Triangle) -> TriangleHit {
         return TriangleHit();
     }
     weights = weights * (1.0 / area);
-    let t_plane = plane_t(ray, triangle, t, weights);
-    let t_hit = min(max(t_plane, min_component(t)), max_component(t));
+    // Outside an edge, t is that of the point on the edge: the plane may be crossed far from it.
+    var t_hit = dot3(weights, t);
+    if !is_outside {
+        t_hit = plane_t(ray, triangle, t, weights);
+    }
+    t_hit = min(max(t_hit, min_component(t)), max_component(t));
     return TriangleHit(t_hit, weights.y, weights.z, back, true);
 }
 

@@ -57,11 +57,13 @@ fn any_hit(ray: RayRecord, ray_mask: u32) -> bool {
     return false;
 }
 
-// Transmittance along the ray in [t_min, t_max], per colour channel: the product over all surfaces hit; 0 if one is
-// opaque.
+// Transmittance along the ray in [t_min, t_max], per colour channel: the product over all surfaces hit; 0 if one
+// is opaque. The light travels against the ray, from a light source to the ray's origin: a single-sided surface that
+// it meets from behind lets it pass, as it lets sight pass from there.
 fn transmittance(ray: RayRecord, ray_mask: u32) -> vec3<f32> {
     var product = vec3<f32>(1.0);
     var has_layers = false;
+    var has_edges = false;
     var state = begin_traversal(ray, ray_mask, ANY_ORDER);
     loop {
         let leaf = next_leaf(&state, ray.t_max);
@@ -78,40 +80,47 @@ fn transmittance(ray: RayRecord, ray_mask: u32) -> vec3<f32> {
         let end = first + primitive_count(leaf);
         for (var i = first; i < end; i++) {
             let candidate = candidate_hit(&state, i, ray.t_max);
-            if candidate.instance != NONE && accept_transmittance(&product, candidate, state.flags) {
-                return vec3<f32>(0.0);
+            if candidate.instance != NONE {
+                has_edges = has_edges || is_translucent_edge(candidate, state.flags);
+                if accept_transmittance(&product, candidate, state.flags) {
+                    return vec3<f32>(0.0);
+                }
             }
         }
     }
+    // On an edge, the neighbour is hit too: in the second pass a surface counts once.
+    if has_edges {
+        return transmittance_of_layers(ray, INSTANCE_TRANSLUCENT, ray_mask);
+    }
     if has_layers {
-        product *= transmittance_of_layers(ray, ray_mask);
+        product *= transmittance_of_layers(ray, INSTANCE_LAYERED, ray_mask);
     }
     return product;
 }
 
-// Transmittance of layered instances, found by repeated closest-hit traversals that each go on behind the last hit.
-fn transmittance_of_layers(ray: RayRecord, ray_mask: u32) -> vec3<f32> {
+// Transmittance of the instances with certain flags, found by repeated closest-hit traversals that each go on behind the
+// last hit.
+fn transmittance_of_layers(ray: RayRecord, instance_flags: u32, ray_mask: u32) -> vec3<f32> {
     var product = vec3<f32>(1.0);
     var start = start_of_ray();
     loop {
         // Find the next layer behind the last one.
-        let layer = next_layer(ray, start, ray_mask);
+        let layer = next_layer(ray, start, instance_flags, ray_mask);
         if layer.instance == NONE {
             break;
         }
         // Multiply by its transmittance; an opaque one ends the ray.
-        let flags = instances[layer.instance].flags;
-        product *= candidate_transmittance(layer, flags);
+        product *= candidate_transmittance(layer, instances[layer.instance].flags);
         if max_component(product) <= 0.0 {
             return vec3<f32>(0.0);
         }
-        start = start_behind(layer, flags);
+        start = start_behind(layer, ray.direction);
     }
     return product;
 }
 
-// The first hit of a layered instance behind the one that the ray has passed.
-fn next_layer(ray: RayRecord, start: Continuation, ray_mask: u32) -> HitRecord {
+// The first hit, of an instance with certain flags, behind the one that the ray has passed.
+fn next_layer(ray: RayRecord, start: Continuation, instance_flags: u32, ray_mask: u32) -> HitRecord {
     var query = closest_query(ray.t_max, start);
     var rest = ray;
     rest.t_min = max(ray.t_min, t_min_of(start));
@@ -121,7 +130,7 @@ fn next_layer(ray: RayRecord, start: Continuation, ray_mask: u32) -> HitRecord {
         if leaf == 0u {
             break;
         }
-        if !is_layered(state.flags) {
+        if (state.flags & instance_flags) != instance_flags {
             continue;
         }
         // Test each triangle; accept or reject the hits.

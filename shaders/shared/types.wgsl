@@ -146,7 +146,7 @@ struct HitRecord {
     primitive: u32,
     triangle: u32,
     back_face: u32,
-    _pad: u32,
+    depth: f32,
 }
 
 struct RayBatch {

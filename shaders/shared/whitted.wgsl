@@ -114,7 +114,7 @@ fn render_pixel(x: u32, y: u32) -> Pixel {
 fn shade(tree: ptr<function, RayTree>, ray: PendingRay, hit: HitRecord, surface: Surface) {
     let direction = view_direction(ray);
     var behind = ray;
-    behind.start = start_behind(hit, instances[hit.instance].flags);
+    behind.start = start_behind(hit, ray.direction);
     // 1. Alpha blends the surface over the ray behind it.
     var throughput = ray.throughput;
     if NEEDS_BLEND && (surface.flags & MATERIAL_BLEND) != 0u {

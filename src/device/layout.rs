@@ -544,13 +544,23 @@ pub struct HitRecord {
     /// 1 if the ray came from the side where the triangle winds clockwise in local space, else 0. That is the back as
     /// glTF defines it, under mirroring transforms too.
     pub back_face: u32,
-    pub(crate) _pad: u32,
+    /// The distance by which hits are ordered: `t`, but a little less for translucent surfaces and a little more for back
+    /// faces, so that the order is defined where surfaces touch.
+    pub depth: f32,
 }
 
 impl HitRecord {
     /// No hit.
-    pub const MISS: Self =
-        Self { t: f32::MAX, u: 0.0, v: 0.0, instance: NONE, primitive: NONE, triangle: NONE, back_face: 0, _pad: 0 };
+    pub const MISS: Self = Self {
+        t: f32::MAX,
+        u: 0.0,
+        v: 0.0,
+        instance: NONE,
+        primitive: NONE,
+        triangle: NONE,
+        back_face: 0,
+        depth: f32::MAX,
+    };
 }
 
 /// Parameters of a batch of rays: a uniform buffer. 16 bytes.

@@ -1,5 +1,7 @@
 //! Query results: a point on a triangle of a node.
 
+use std::cmp::Ordering;
+
 use glam::DVec3;
 
 use super::{PlacedInstance, Queries, to_dvec3};
@@ -48,10 +50,30 @@ pub(super) struct HitCandidate {
     pub(super) back_face: bool,
 }
 
+/// By how much a back face counts as farther, relative to its distance: beyond the rounding of both. Where a closed
+/// surface is hit at a ridge, the face that faces the ray then comes before the other.
+const BACK_FACE_STEP: f64 = 64.0 * f64::EPSILON;
+
 impl HitCandidate {
-    /// Whether this hit comes first: by distance, then by instance index, then by triangle.
-    pub(super) fn precedes(&self, other: &Self) -> bool {
+    /// The order of hits along a ray: by distance, where a back face counts as a [little](BACK_FACE_STEP) farther, then
+    /// by instance index, then by triangle.
+    pub(super) fn order(&self, other: &Self) -> Ordering {
+        let ids = |hit: &Self| (hit.instance_index, hit.primitive);
+        self.depth().total_cmp(&other.depth()).then_with(|| ids(self).cmp(&ids(other)))
+    }
+
+    /// Whether this point is nearer; of points at one distance the one of the lower instance, then the lower triangle.
+    pub(super) fn is_nearer(&self, other: &Self) -> bool {
         (self.distance, self.instance_index, self.primitive) < (other.distance, other.instance_index, other.primitive)
+    }
+
+    fn depth(&self) -> f64 {
+        if self.back_face { self.distance + self.distance.abs() * BACK_FACE_STEP } else { self.distance }
+    }
+
+    /// The greatest distance of a hit that may come before this one.
+    pub(super) fn greatest_distance_before(&self) -> f64 {
+        self.distance + self.distance.abs() * (2.0 * BACK_FACE_STEP)
     }
 }
 

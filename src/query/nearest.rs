@@ -92,7 +92,7 @@ impl NearestSearch<'_> {
                 distance,
                 back_face,
             };
-            if distance <= self.current_radius() && self.nearest.is_none_or(|nearest| found.precedes(&nearest)) {
+            if distance <= self.current_radius() && self.nearest.is_none_or(|nearest| found.is_nearer(&nearest)) {
                 self.nearest = Some(found);
             }
         }

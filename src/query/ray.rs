@@ -51,18 +51,20 @@ impl Ray {
 /// are. A ray exactly through a shared edge or vertex hits exactly one triangle per crossing of the surface; at a
 /// silhouette edge it hits both or none. The rays of a frame are f32, and may differ within their rounding.
 impl Queries<'_> {
-    /// The closest hit. Ties are broken by lower instance index, then lower triangle index. O(log triangles) on
-    /// average.
+    /// The closest hit. Ties are broken by lower instance index, then lower triangle index; at a ridge, the face that
+    /// faces the ray is hit. O(log triangles) on average.
     ///
     /// # Errors
     /// As [`Ray::validate`].
     pub fn closest_hit(&self, ray: &Ray) -> Result<Option<Hit>> {
         let mut closest: Option<HitCandidate> = None;
         self.for_each_crossing(ray, |found| {
-            if closest.is_none_or(|closest| found.precedes(&closest)) {
+            if closest.is_none_or(|closest| found.order(&closest).is_lt()) {
                 closest = Some(found);
             }
-            ControlFlow::Continue(closest.map_or(ray.t_max, |closest| closest.distance))
+            ControlFlow::Continue(
+                closest.map_or(ray.t_max, |closest| closest.greatest_distance_before().min(ray.t_max)),
+            )
         })?;
         Ok(closest.and_then(|found| self.hit(&found)))
     }
@@ -91,11 +93,7 @@ impl Queries<'_> {
             all.push(found);
             ControlFlow::Continue(ray.t_max)
         })?;
-        all.sort_unstable_by(|a, b| {
-            a.distance
-                .total_cmp(&b.distance)
-                .then((a.instance_index, a.primitive).cmp(&(b.instance_index, b.primitive)))
-        });
+        all.sort_unstable_by(HitCandidate::order);
         // A triangle that is in several leaves was found several times.
         all.dedup_by_key(|found| (found.instance_index, found.primitive));
         Ok(all.iter().filter_map(|found| self.hit(found)).collect())

@@ -5,8 +5,8 @@ use rayon::prelude::*;
 
 use super::frame_buffer::FrameBuffer;
 use super::kernel::{
-    AnyQuery, ClosestQuery, Continuation, KernelScene, Pixel, Query, RayQueries, TransmittanceQuery, any_hit, camera_ray,
-    closest_hit, render_pixel, run_query,
+    AnyQuery, ClosestQuery, Continuation, KernelScene, Pixel, Query, RayQueries, TransmittanceQuery, any_hit,
+    camera_ray, closest_hit, render_pixel, run_query,
 };
 use super::{DeviceInfo, FrameCounts, FrameRequest, Tracer, Traversal, TraversalCounts};
 use crate::Result;
@@ -77,7 +77,7 @@ impl<'a> RayQueries<'a> for CountingQueries<'a> {
 
     fn next_hit(&mut self, ray: &RayRecord, start: Continuation, ray_mask: u32) -> HitRecord {
         self.counts.radiance_rays += 1;
-        self.run_query(ray, ray_mask, ClosestQuery::behind(ray.t_max, start)).result()
+        self.run_query(ray, ray_mask, ClosestQuery::behind(ray.t_max, start)).hit
     }
 
     fn transmittance(&mut self, ray: &RayRecord, ray_mask: u32) -> Vec3 {

@@ -7,8 +7,8 @@ use glam::Vec3;
 
 use super::frame_buffer::FrameBuffer;
 use super::kernel::{
-    AnyQuery, ClosestQuery, Continuation, KernelScene, Query, RayQueries, SlabRay, TransmittanceQuery, TraversalCounter,
-    TraversalRay, camera_ray, intersect_leaf, intersects_box, max_component, render_pixel, shear_ray,
+    AnyQuery, ClosestQuery, Continuation, KernelScene, Query, RayQueries, SlabRay, TransmittanceQuery,
+    TraversalCounter, TraversalRay, camera_ray, intersect_leaf, intersects_box, max_component, render_pixel, shear_ray,
 };
 use super::{DeviceInfo, FrameRequest, Tracer, TraversalCounts};
 use crate::Result;
@@ -191,7 +191,7 @@ struct TreeQueries<'a> {
 
 impl TreeQueries<'_> {
     fn next_hit(&self, ray: &RayRecord, start: Continuation, ray_mask: u32) -> HitRecord {
-        self.run_query(ray, ray_mask, ClosestQuery::behind(ray.t_max, start), &mut ()).result()
+        self.run_query(ray, ray_mask, ClosestQuery::behind(ray.t_max, start), &mut ()).hit
     }
 
     fn any_hit(&self, ray: &RayRecord, ray_mask: u32) -> bool {

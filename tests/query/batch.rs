@@ -8,7 +8,7 @@ use ropewalk::{Core, Error, Geometry, Material, Ray, Renderer, Scene, Transform}
 use ropewalk_testkit::{Mesh, Random};
 
 /// Renderers on every executor.
-fn renderers() -> Vec<Renderer> {
+pub fn renderers() -> Vec<Renderer> {
     #[cfg(feature = "gpu")]
     let gpu = ropewalk_testkit::gpu::tracer().map(Renderer::with_tracer);
     #[cfg(not(feature = "gpu"))]

@@ -12,4 +12,5 @@ mod oracle;
 mod pick;
 mod rays;
 mod regions;
+mod ridges;
 mod scenes;

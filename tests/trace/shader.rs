@@ -184,7 +184,7 @@ fn rust_layouts() -> BTreeMap<String, Layout> {
         }),
         layout_of!(RayRecord { origin, t_min, direction, t_max }),
         layout_of!(RayBatch { count, ray_mask, first }),
-        layout_of!(HitRecord { t, u, v, instance, primitive, triangle, back_face }),
+        layout_of!(HitRecord { t, u, v, instance, primitive, triangle, back_face, depth }),
     ])
 }
 

@@ -9,8 +9,8 @@ use super::simd::{F32Lanes, LANES, lanes_of, load};
 use super::triangle_test::TriangleHits;
 use crate::device::layout::{HitRecord, InstanceFlags, InstanceRecord, RayRecord, WideNode};
 use crate::trace::kernel::{
-    AnyQuery, ClosestQuery, Continuation, HitOrder, KernelScene, Query, SAME_SURFACE_SCALE, T_BEFORE_SCALE,
-    TransmittanceQuery, TriangleHit, candidate_hit, depth_scale, is_cut_out, is_opaque_at,
+    AnyQuery, ClosestQuery, Continuation, GrazingPlane, HitOrder, KernelScene, MAX_GRAZING, Query, T_BEFORE_SCALE,
+    TOUCH_STEP, TransmittanceQuery, TriangleHit, candidate_hit, depth_steps, hit_depth, is_cut_out, is_opaque_at,
 };
 
 /// The instance being traversed: its record and its BLAS.
@@ -43,8 +43,36 @@ impl<'a> InstanceGeometry<'a> {
 
     /// A hit with one of the instance's triangles as a candidate.
     #[inline(always)]
-    fn candidate(&self, triangle: u32, hit: &TriangleHit) -> HitRecord {
-        candidate_hit(self.index, triangle, self.scene.triangles[triangle as usize].primitive, hit)
+    fn candidate(&self, triangle: u32, hit: &TriangleHit, depth: f32) -> HitRecord {
+        candidate_hit(self.index, triangle, self.scene.triangles[triangle as usize].primitive, hit, depth)
+    }
+
+    /// The depths of hits with a triangle by rays of these local directions: the packet form of the kernel's
+    /// [`hit_depth`].
+    #[inline(always)]
+    fn depths<S: Simd>(
+        &self,
+        simd: S,
+        triangle: u32,
+        lanes: u64,
+        at: &TriangleHits<f32x16<S>>,
+        directions: &[F32Lanes; 3],
+    ) -> f32x16<S> {
+        let flags = self.instance.flags;
+        let [front_steps, back_steps] = [false, true].map(|is_back| depth_steps(is_back, flags));
+        // Depth is t for the fronts of what is opaque.
+        if front_steps == 0.0 && at.back & lanes == 0 {
+            return at.t;
+        }
+        let plane = GrazingPlane::of(&self.scene.triangles[triangle as usize]);
+        let [x, y, z] = [load(simd, directions[0]), load(simd, directions[1]), load(simd, directions[2])];
+        let slope = ((x * plane.normal.x + y * plane.normal.y) + z * plane.normal.z).abs();
+        let bound = (x.abs() * plane.bound.x + y.abs() * plane.bound.y) + z.abs() * plane.bound.z;
+        let most = f32x16::splat(simd, MAX_GRAZING);
+        let grazing = (slope * MAX_GRAZING).simd_le(bound).select(most, bound / slope);
+        let splat = |steps: f32| f32x16::splat(simd, steps * TOUCH_STEP);
+        let is_back = mask32x16::from_bitmask(simd, at.back);
+        at.t + at.t * (is_back.select(splat(back_steps), splat(front_steps)) * grazing)
     }
 }
 
@@ -71,10 +99,20 @@ impl<A: PacketQuery> QueryLane<'_, A> {
     /// Offers the lane's query a hit with a triangle, with t in [`t_min`, `t_max`]. Whether a layered instance is
     /// skipped is decided per hit, not per leaf as in the kernel: a ray that hits nothing of it needs no second pass.
     #[inline(always)]
-    pub(super) fn accept_hit(&mut self, geometry: &InstanceGeometry<'_>, triangle: u32, hit: &TriangleHit) {
+    pub(super) fn accept_hit(
+        &mut self,
+        geometry: &InstanceGeometry<'_>,
+        triangle: u32,
+        hit: &TriangleHit,
+        directions: &[F32Lanes; 3],
+    ) {
         let mut query = self.queries.query(self.lane);
-        if !query.skips_instance(geometry.instance.flags) {
-            query.accept_hit(geometry.scene, &geometry.candidate(triangle, hit), geometry.instance.flags);
+        let flags = geometry.instance.flags;
+        if !query.skips_instance(flags) {
+            let [x, y, z] = directions;
+            let direction = Vec3::new(x[self.lane], y[self.lane], z[self.lane]);
+            let depth = hit_depth(hit, flags, &geometry.scene.triangles[triangle as usize], direction);
+            query.accept_hit(geometry.scene, &geometry.candidate(triangle, hit, depth), flags);
         }
         self.queries.set_query(self.lane, query);
     }
@@ -107,7 +145,8 @@ pub(super) trait PacketQuery {
 
     fn set_query(&mut self, lane: usize, query: Self::Query);
 
-    /// Offers a triangle's hits to `lanes`, all with t in [`t_min`, `t_max`].
+    /// Offers a triangle's hits to `lanes`, all with t in [`t_min`, `t_max`]. `directions` are the rays', in local
+    /// space.
     fn accept_hits<S: Simd>(
         &mut self,
         simd: S,
@@ -115,6 +154,7 @@ pub(super) trait PacketQuery {
         triangle: u32,
         lanes: u64,
         at: &TriangleHits<f32x16<S>>,
+        directions: &[F32Lanes; 3],
     );
 }
 
@@ -138,6 +178,7 @@ pub(super) struct ClosestPacket {
 #[repr(C, align(64))]
 struct Continuations {
     depth: F32Lanes,
+    same_surface_end: F32Lanes,
     instance: [u32; LANES],
     primitive: [u32; LANES],
     back: u64,
@@ -148,6 +189,7 @@ struct Continuations {
 impl Continuations {
     const START: Self = Self {
         depth: [Continuation::START.passed.depth; LANES],
+        same_surface_end: [Continuation::START.same_surface_end; LANES],
         instance: [Continuation::START.passed.instance; LANES],
         primitive: [Continuation::START.passed.primitive; LANES],
         back: 0,
@@ -161,6 +203,7 @@ impl Continuations {
         let (depth, instance, primitive) = (self.depth[lane], self.instance[lane], self.primitive[lane]);
         Continuation {
             passed: HitOrder { depth, instance, primitive },
+            same_surface_end: self.same_surface_end[lane],
             is_back: is_set(self.back),
             is_on_edge: is_set(self.on_edge),
             only_opaque: is_set(self.only_opaque),
@@ -170,6 +213,7 @@ impl Continuations {
     fn set_lane(&mut self, lane: usize, start: &Continuation) {
         let HitOrder { depth, instance, primitive } = start.passed;
         (self.depth[lane], self.instance[lane], self.primitive[lane]) = (depth, instance, primitive);
+        self.same_surface_end[lane] = start.same_surface_end;
         let set = |mask: &mut u64, is_set: bool| *mask = *mask & !(1 << lane) | u64::from(is_set) << lane;
         set(&mut self.back, start.is_back);
         set(&mut self.on_edge, start.is_on_edge);
@@ -208,7 +252,7 @@ impl PacketQuery for ClosestPacket {
             primitive: [primitive; LANES],
             triangle: [triangle; LANES],
             back: 0,
-            depth: [HitOrder::LAST.depth; LANES],
+            depth: [HitRecord::MISS.depth; LANES],
             t_max: t_max.into(),
             starts: Continuations::START,
         }
@@ -226,7 +270,7 @@ impl PacketQuery for ClosestPacket {
             bits(self.primitive),
             bits(self.triangle),
             back.bitcast(),
-            f32x16::splat(simd, 0.0),
+            load(simd, self.depth),
         ];
         // Transpose 8 x 16 to 16 x 8 by three rounds of interleaving, so that the eight words of a hit follow one
         // another.
@@ -251,14 +295,14 @@ impl PacketQuery for ClosestPacket {
             primitive: self.primitive[lane],
             triangle: self.triangle[lane],
             back_face: (self.back >> lane & 1) as u32,
-            _pad: 0,
+            depth: self.depth[lane],
         };
-        ClosestQuery { start: self.starts.lane(lane), hit, depth: self.depth[lane], t_max: self.t_max[lane] }
+        ClosestQuery { start: self.starts.lane(lane), hit, t_max: self.t_max[lane] }
     }
 
     #[inline(always)]
-    fn set_query(&mut self, lane: usize, ClosestQuery { hit, depth, t_max, .. }: ClosestQuery) {
-        (self.depth[lane], self.t_max[lane]) = (depth, t_max);
+    fn set_query(&mut self, lane: usize, ClosestQuery { hit, t_max, .. }: ClosestQuery) {
+        (self.depth[lane], self.t_max[lane]) = (hit.depth, t_max);
         self.t[lane] = hit.t;
         self.u[lane] = hit.u;
         self.v[lane] = hit.v;
@@ -277,42 +321,40 @@ impl PacketQuery for ClosestPacket {
         triangle: u32,
         lanes: u64,
         at: &TriangleHits<f32x16<S>>,
+        directions: &[F32Lanes; 3],
     ) {
         let flags = geometry.instance.flags;
         let primitive = geometry.scene.triangles[triangle as usize].primitive;
         let mut lanes = lanes;
-        // Candidates at or before the first hit so far; break ties by instance and primitive.
-        let [front_scale, back_scale] = [false, true].map(|is_back| f32x16::splat(simd, depth_scale(is_back, flags)));
-        let depth = at.t * mask32x16::from_bitmask(simd, at.back).select(back_scale, front_scale);
-        let first_depth = load(simd, self.depth);
-        lanes &= depth.simd_le(first_depth).to_bitmask();
-        for lane in lanes_of(depth.simd_eq(first_depth).to_bitmask() & lanes) {
-            let order = HitOrder { depth: depth.as_array()[lane], instance: geometry.index, primitive };
-            let first = self.query(lane).first();
-            lanes &= !(u64::from(!order.is_before(&first)) << lane);
-        }
-        // Drop what the ray has passed.
-        let passed_end = load(simd, self.starts.depth) * SAME_SURFACE_SCALE;
-        for lane in lanes_of(depth.simd_le(passed_end).to_bitmask() & lanes) {
-            let candidate = geometry.candidate(triangle, &hit_of_lane(at, lane));
-            let is_next = self.starts.lane(lane).is_before(&candidate, &HitOrder::of(&candidate, flags));
-            lanes &= !(u64::from(!is_next) << lane);
-        }
         // Cull back faces.
         if geometry.has_flags(InstanceFlags::CULL_BACK) {
             lanes &= !at.back;
         }
+        // Candidates at or before the first hit so far; break ties by instance and primitive.
+        let depth = geometry.depths(simd, triangle, lanes, at, directions);
+        let first_depth = load(simd, self.depth);
+        lanes &= depth.simd_le(first_depth).to_bitmask();
+        for lane in lanes_of(depth.simd_eq(first_depth).to_bitmask() & lanes) {
+            let order = HitOrder { depth: depth.as_array()[lane], instance: geometry.index, primitive };
+            lanes &= !(u64::from(!order.is_before(&HitOrder::of(&self.query(lane).hit))) << lane);
+        }
+        // Drop what the ray has passed.
+        let passed_end = load(simd, self.starts.same_surface_end);
+        for lane in lanes_of(depth.simd_le(passed_end).to_bitmask() & lanes) {
+            let candidate = geometry.candidate(triangle, &hit_of_lane(at, lane), depth.as_array()[lane]);
+            lanes &= !(u64::from(!self.starts.lane(lane).is_before(&candidate)) << lane);
+        }
         // Alpha test.
         if geometry.has_flags(InstanceFlags::ALPHA_MASK) {
             for lane in lanes_of(lanes) {
-                let candidate = geometry.candidate(triangle, &hit_of_lane(at, lane));
+                let candidate = geometry.candidate(triangle, &hit_of_lane(at, lane), depth.as_array()[lane]);
                 lanes &= !(u64::from(is_cut_out(geometry.scene, &candidate, flags)) << lane);
             }
         }
         // Rays that pass what is translucent.
         if geometry.has_flags(InstanceFlags::TRANSLUCENT) {
             for lane in lanes_of(lanes & self.starts.only_opaque) {
-                let candidate = geometry.candidate(triangle, &hit_of_lane(at, lane));
+                let candidate = geometry.candidate(triangle, &hit_of_lane(at, lane), depth.as_array()[lane]);
                 lanes &= !(u64::from(!is_opaque_at(geometry.scene, &candidate, flags)) << lane);
             }
         }
@@ -386,12 +428,13 @@ impl PacketQuery for AnyPacket {
         triangle: u32,
         lanes: u64,
         at: &TriangleHits<f32x16<S>>,
+        _: &[F32Lanes; 3],
     ) {
         let flags = geometry.instance.flags;
         let mut lanes = lanes;
         if geometry.has_flags(InstanceFlags::TRANSLUCENT) {
             for lane in lanes_of(lanes) {
-                let candidate = geometry.candidate(triangle, &hit_of_lane(at, lane));
+                let candidate = geometry.candidate(triangle, &hit_of_lane(at, lane), at.t.as_array()[lane]);
                 lanes &= !(u64::from(!is_opaque_at(geometry.scene, &candidate, flags)) << lane);
             }
         }
@@ -406,8 +449,9 @@ impl PacketQuery for AnyPacket {
 pub(super) struct TransmittancePacket {
     t_max: F32Lanes,
     light: [F32Lanes; 3],
-    /// Mask of lanes that hit a layered instance.
+    /// Masks of lanes that hit a layered instance, and of those that hit a translucent triangle on an edge.
     layers: u64,
+    edges: u64,
 }
 
 impl PacketQuery for TransmittancePacket {
@@ -417,7 +461,7 @@ impl PacketQuery for TransmittancePacket {
 
     #[inline(always)]
     fn new<S: Simd>(t_max: f32x16<S>) -> Self {
-        Self { t_max: t_max.into(), light: [[1.0; LANES]; 3], layers: 0 }
+        Self { t_max: t_max.into(), light: [[1.0; LANES]; 3], layers: 0, edges: 0 }
     }
 
     #[inline(always)]
@@ -443,20 +487,26 @@ impl PacketQuery for TransmittancePacket {
     #[inline(always)]
     fn query(&self, lane: usize) -> TransmittanceQuery {
         let light = Vec3::new(self.light[0][lane], self.light[1][lane], self.light[2][lane]);
-        TransmittanceQuery { t_max: self.t_max[lane], transmittance: light, has_layers: self.layers >> lane & 1 != 0 }
+        TransmittanceQuery {
+            t_max: self.t_max[lane],
+            transmittance: light,
+            has_layers: self.layers >> lane & 1 != 0,
+            has_edges: self.edges >> lane & 1 != 0,
+        }
     }
 
     #[inline(always)]
     fn set_query(
         &mut self,
         lane: usize,
-        TransmittanceQuery { t_max, transmittance: light, has_layers }: TransmittanceQuery,
+        TransmittanceQuery { t_max, transmittance: light, has_layers, has_edges }: TransmittanceQuery,
     ) {
         self.t_max[lane] = t_max;
         for (of_lanes, light) in self.light.iter_mut().zip(light.to_array()) {
             of_lanes[lane] = light;
         }
         self.layers = self.layers & !(1 << lane) | u64::from(has_layers) << lane;
+        self.edges = self.edges & !(1 << lane) | u64::from(has_edges) << lane;
     }
 
     /// The packet form of [`TransmittanceQuery::accept_hit`](Query::accept_hit).
@@ -468,12 +518,18 @@ impl PacketQuery for TransmittancePacket {
         triangle: u32,
         lanes: u64,
         at: &TriangleHits<f32x16<S>>,
+        directions: &[F32Lanes; 3],
     ) {
+        // Light from behind passes single-sided triangles.
+        let mut lanes = lanes;
+        if geometry.has_flags(InstanceFlags::CULL_BACK) {
+            lanes &= at.back;
+        }
         // Translucent: one lane after the other.
         if geometry.has_flags(InstanceFlags::TRANSLUCENT) {
             for lane in lanes_of(lanes) {
                 let hit = hit_of_lane(at, lane);
-                QueryLane { queries: self, lane }.accept_hit(geometry, triangle, &hit);
+                QueryLane { queries: self, lane }.accept_hit(geometry, triangle, &hit, directions);
             }
             return;
         }
@@ -488,6 +544,7 @@ impl PacketQuery for TransmittancePacket {
         set(green, 0.0);
         set(blue, 0.0);
         self.layers &= !lanes;
+        self.edges &= !lanes;
     }
 }
 
@@ -505,7 +562,8 @@ mod tests {
     /// Triangles whose alpha goes from 0 at the first vertex to 1 at the other two.
     fn arrays(material: MaterialFlags, flags: InstanceFlags) -> DeviceArrays {
         let mut arrays = DeviceArrays::default();
-        arrays.triangles.replace(&[0, 1, 2].map(|primitive| Triangle { primitive, ..Triangle::zeroed() }));
+        let corners = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.5], [0.0, 1.0, 0.25]];
+        arrays.triangles.replace(&[0, 1, 2].map(|primitive| Triangle::new(corners, primitive)));
         arrays.indices.replace(&[0, 1, 2, 0, 1, 2, 0, 1, 2]);
         arrays.colors.replace(&[[u32::MAX, 0x0000_ffff], [u32::MAX; 2], [u32::MAX; 2]]);
         arrays.geometries.replace(&[GeometryRecord {
@@ -525,8 +583,12 @@ mod tests {
         arrays
     }
 
-    /// Offers random hits to a packet and, lane by lane, to its queries.
-    fn packet_matches_lanes<S: Simd, P: PacketQuery<Query: PartialEq + Debug>>(simd: S, new: fn(f32) -> P::Query) {
+    /// Offers random hits to a packet and, lane by lane, to its queries, after `prepare` has prepared both.
+    fn packet_matches_lanes<S: Simd, P: PacketQuery<Query: PartialEq + Debug>>(
+        simd: S,
+        new: fn(f32) -> P::Query,
+        prepare: fn(&mut P, &mut [P::Query; LANES], &mut fastrand::Rng),
+    ) {
         let (mut random, mut accepted) = (fastrand::Rng::with_seed(1), 0);
         let lanes_below = |random: &mut fastrand::Rng, end: u32, scale: f32| -> F32Lanes {
             std::array::from_fn(|_| random.u32(..end) as f32 * scale)
@@ -538,6 +600,8 @@ mod tests {
                 // With a t_max that is hit, too.
                 let mut packet = P::new(f32x16::splat(simd, 4.0));
                 let mut queries = [new(4.0); LANES];
+                prepare(&mut packet, &mut queries, &mut random);
+                let directions = [0; 3].map(|_| lanes_below(&mut random, 5, 0.25));
                 for _ in 0..20 {
                     let index = random.u32(..2);
                     let geometry =
@@ -552,12 +616,16 @@ mod tests {
                     let in_range = hits.t.simd_le(load(simd, *packet.t_max())).to_bitmask();
                     let lanes = in_range & u64::from(random.u32(..1 << 16));
                     let triangle = random.u32(..3);
-                    packet.accept_hits(simd, &geometry, triangle, lanes, &hits);
+                    packet.accept_hits(simd, &geometry, triangle, lanes, &hits, &directions);
                     for lane in lanes_of(lanes) {
                         let before = queries[lane];
                         let query = &mut queries[lane];
                         if !query.skips_instance(geometry.instance.flags) {
-                            let candidate = geometry.candidate(triangle, &hit_of_lane(&hits, lane));
+                            let (hit, [x, y, z]) = (hit_of_lane(&hits, lane), &directions);
+                            let direction = Vec3::new(x[lane], y[lane], z[lane]);
+                            let of = &scene.triangles[triangle as usize];
+                            let depth = hit_depth(&hit, geometry.instance.flags, of, direction);
+                            let candidate = geometry.candidate(triangle, &hit, depth);
                             query.accept_hit(scene, &candidate, geometry.instance.flags);
                         }
                         accepted += u32::from(*query != before);
@@ -571,11 +639,34 @@ mod tests {
         assert!(accepted > 1_000, "{accepted}");
     }
 
+    /// Lets every second ray go on behind a random hit, and every fourth pass what is translucent.
+    fn continue_rays(packet: &mut ClosestPacket, queries: &mut [ClosestQuery; LANES], random: &mut fastrand::Rng) {
+        let mut start = |lane: usize| {
+            let depth = random.u32(..4) as f32;
+            let passed = HitOrder { depth, instance: random.u32(..2), primitive: random.u32(..3) };
+            let only_opaque = lane.is_multiple_of(4);
+            if lane.is_multiple_of(2) {
+                return Continuation { only_opaque, ..Continuation::START };
+            }
+            let (is_back, is_on_edge) = (random.bool(), random.bool());
+            Continuation { passed, same_surface_end: depth + 1e-4, is_back, is_on_edge, only_opaque }
+        };
+        let starts: [Continuation; LANES] = std::array::from_fn(&mut start);
+        packet.set_starts(&starts);
+        for (query, start) in queries.iter_mut().zip(starts) {
+            query.start = start;
+        }
+    }
+
     #[test]
     fn packets_accept_what_their_lanes_accept() {
         let level = Level::new();
-        dispatch!(level, simd => packet_matches_lanes::<_, ClosestPacket>(simd, ClosestQuery::new));
-        dispatch!(level, simd => packet_matches_lanes::<_, AnyPacket>(simd, AnyQuery::new));
-        dispatch!(level, simd => packet_matches_lanes::<_, TransmittancePacket>(simd, TransmittanceQuery::new));
+        dispatch!(level, simd => packet_matches_lanes::<_, ClosestPacket>(simd, ClosestQuery::new, |_, _, _| ()));
+        dispatch!(level, simd => packet_matches_lanes::<_, ClosestPacket>(simd, ClosestQuery::new, continue_rays));
+        dispatch!(level, simd => packet_matches_lanes::<_, AnyPacket>(simd, AnyQuery::new, |_, _, _| ()));
+        dispatch!(
+            level,
+            simd => packet_matches_lanes::<_, TransmittancePacket>(simd, TransmittanceQuery::new, |_, _, _| ())
+        );
     }
 }

@@ -125,7 +125,7 @@ impl<'a, S: Simd, Q: PacketQuery, N: NodeTest<'a, S>> PacketTraversal<'a, S, Q, 
         hit_lanes &= hits.t.simd_le(load(self.queries.t_max())).to_bitmask();
         // Offer the hits to the queries, and tell the node test that t_max may have shrunk.
         if hit_lanes != 0 {
-            self.queries.accept_hits(simd, self.geometry, index, hit_lanes, &hits);
+            self.queries.accept_hits(simd, self.geometry, index, hit_lanes, &hits, &rays.directions);
             self.node_test.tighten_t_max(self.queries.t_max());
         }
     }

@@ -287,7 +287,7 @@ fn intersect_four_triangles<S: Simd>(
         hit_lanes &= hit_lanes - 1;
         let back = hits.back >> slot & 1 != 0;
         let hit = TriangleHit { t: t[slot], u: u[slot], v: v[slot], back };
-        query.accept_hit(geometry, first + slot as u32, &hit);
+        query.accept_hit(geometry, first + slot as u32, &hit, &rays.directions);
     }
     true
 }

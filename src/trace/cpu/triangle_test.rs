@@ -61,10 +61,14 @@ pub(super) fn intersect_triangles<S: Simd, V: SimdFloat<S, Element = f32>>(
     let least_w = min_component(w);
 
     // Reject lanes that are outside an edge by more than the tolerance of the whole triangle.
-    let (x_abs, y_abs, t_abs) = (abs(x), abs(y), abs(t));
+    let (x_abs, y_abs) = (abs(x), abs(y));
+    let z = map_axes(
+        abs(t),
+        #[inline(always)]
+        |t| t * t_to_sheared,
+    );
     let (x_extent, y_extent) = (max_component(x_abs), max_component(y_abs));
-    let depth = max_component(t_abs) * t_to_sheared;
-    let tolerance = (depth * (x_extent + y_extent) + x_extent * y_extent * 4.0) * EDGE_TOLERANCE;
+    let tolerance = (max_component(z) * (x_extent + y_extent) + x_extent * y_extent * 4.0) * EDGE_TOLERANCE;
     let outside = least_w.simd_lt(-tolerance).to_bitmask();
     let mut hit_lanes = lanes & !outside;
     if hit_lanes == 0 {
@@ -73,20 +77,26 @@ pub(super) fn intersect_triangles<S: Simd, V: SimdFloat<S, Element = f32>>(
 
     // 2. Where a ray is near an edge, reject it if it misses the triangle's bounds by more than rounding explains.
     if hit_lanes & !least_w.simd_gt(tolerance).to_bitmask() != 0 {
-        let x_tolerance = (depth + x_extent) * CORNER_TOLERANCE;
-        let y_tolerance = (depth + y_extent) * CORNER_TOLERANCE;
-        let beside = min_component(x).simd_gt(x_tolerance)
-            | max_component(x).simd_lt(-x_tolerance)
-            | min_component(y).simd_gt(y_tolerance)
-            | max_component(y).simd_lt(-y_tolerance);
-        hit_lanes &= !beside.to_bitmask();
+        let tolerance = |at: V, z: V| (z + at) * CORNER_TOLERANCE;
+        let [x_tolerance, y_tolerance] = [x_abs, y_abs].map(
+            #[inline(always)]
+            |at| [tolerance(at[0], z[0]), tolerance(at[1], z[1]), tolerance(at[2], z[2])],
+        );
+        let is_beside = |at: [V; 3], tolerance: [V; 3]| {
+            let least = [at[0] - tolerance[0], at[1] - tolerance[1], at[2] - tolerance[2]];
+            let greatest = [at[0] + tolerance[0], at[1] + tolerance[1], at[2] + tolerance[2]];
+            min_component(least).simd_gt(zero) | max_component(greatest).simd_lt(zero)
+        };
+        hit_lanes &= !(is_beside(x, x_tolerance) | is_beside(y, y_tolerance)).to_bitmask();
         // Repeat the edge test with the tighter tolerance of each edge's own two vertices.
-        let (x, y, z) = (greater_of_others(x_abs), greater_of_others(y_abs), greater_of_others(t_abs));
+        let (x, y, z) = (greater_of_others(x_abs), greater_of_others(y_abs), greater_of_others(z));
         for i in 0..3 {
-            let tolerance = (z[i] * t_to_sheared * (x[i] + y[i]) + x[i] * y[i] * 4.0) * EDGE_TOLERANCE;
+            let tolerance = (z[i] * (x[i] + y[i]) + x[i] * y[i] * 4.0) * EDGE_TOLERANCE;
             hit_lanes &= !(w[i] + tolerance).simd_lt(zero).to_bitmask();
         }
     }
+
+    let is_outside = least_w.simd_lt(zero);
 
     // 3. Compute the barycentric weights, clamped to the triangle.
     let w = map_axes(
@@ -103,8 +113,13 @@ pub(super) fn intersect_triangles<S: Simd, V: SimdFloat<S, Element = f32>>(
         |w| w * scale,
     );
 
-    // 4. Compute the distance along the plane, clamped to the range of the vertices' t.
-    let t_hit = plane_distance(t, w).max(min_component(t)).min(max_component(t));
+    // 4. Compute the distance along the plane or, outside an edge, along the edge; clamped to the range of the vertices'
+    //    t.
+    let mut t_hit = plane_distance(t, w);
+    if is_outside.to_bitmask() & hit_lanes != 0 {
+        t_hit = is_outside.select((w[0] * t[0] + w[1] * t[1]) + w[2] * t[2], t_hit);
+    }
+    let t_hit = t_hit.max(min_component(t)).min(max_component(t));
     Some((hit_lanes, TriangleHits { t: t_hit, u: w[1], v: w[2], back: back.to_bitmask() }))
 }
 

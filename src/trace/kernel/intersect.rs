@@ -19,7 +19,8 @@
 //!    edge function is a difference of two products: at most v (2 Z (X + Y) + 4 X Y) off for its corners and 4 v X Y
 //!    for its own three operations. Twice the sum is the tolerance, [`EDGE_TOLERANCE`]; the factor two covers terms in
 //!    v^2. X, Y and Z may be those of the edge's two corners alone: a tighter tolerance, so that a ray that leaves past
-//!    a convex edge misses what lies behind it.
+//!    a convex edge misses what lies behind it. It is that of both triangles at an edge, as is that of a corner: at a
+//!    ridge a ray hits both or neither.
 //! 3. **Box.** The ray hits the triangle at a mean P of the corners' p, and t = P.z / direction.z. A box around the
 //!    triangle has min <= corner, and rounding is monotonic: the computed min - origin is at most P. By its reciprocal,
 //!    its product, and S, the plane's computed t is at most 6 v beyond t; that of the far plane at most 6 v before it.
@@ -34,7 +35,9 @@
 //!    so on. An edge has one rounding, so n is at most 4 v N off, n.q at most 8 v N.|q|, n.d at most 7 v N.|d|, and t
 //!    at most v (8 N.|q| + 7 |t| N.|d|) / |n.d| + 3 v |t|, up to terms in v^2. Where a triangle lies along two axes, n
 //!    has one component, whose error is in both products alike: t is at most 6 v |t| off, at whatever angle. In any
-//!    case t is clamped to the range of the vertices' t.
+//!    case t is clamped to the range of the vertices' t. Where a ray passes outside an edge, within the tolerance, t is
+//!    interpolated along the edge: its plane may be crossed far from the triangle, and at a ridge the plane of the face
+//!    behind before that of the face in front.
 
 use glam::Vec3;
 
@@ -183,16 +186,16 @@ pub(crate) fn intersect_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<
     let y = Vec3::new(dot3(ray.y_row, a), dot3(ray.y_row, b), dot3(ray.y_row, c));
     let t = Vec3::new(dot3(ray.t_row, a), dot3(ray.t_row, b), dot3(ray.t_row, c));
 
-    // Greatest depth, in units of sheared x and y: the tolerances grow with it.
-    let z_extent = max(-min_component(t), max_component(t)) * ray.t_to_sheared;
+    // Depths in units of sheared x and y: the tolerances grow with them.
+    let (x_abs, y_abs, z) = (x.abs(), y.abs(), t.abs() * ray.t_to_sheared);
 
-    // 1. Reject the ray if it misses the projected triangle's bounds by more than the rounding error.
-    let (x_min, x_max) = (min_component(x), max_component(x));
-    let (y_min, y_max) = (min_component(y), max_component(y));
-    let (x_extent, y_extent) = (max(-x_min, x_max), max(-y_min, y_max));
-    let x_tolerance = CORNER_TOLERANCE * (z_extent + x_extent);
-    let y_tolerance = CORNER_TOLERANCE * (z_extent + y_extent);
-    if x_min > x_tolerance || x_max < -x_tolerance || y_min > y_tolerance || y_max < -y_tolerance {
+    // 1. Reject the ray if it misses the projected triangle's bounds by more than the rounding error of each corner.
+    let (x_tolerance, y_tolerance) = ((z + x_abs) * CORNER_TOLERANCE, (z + y_abs) * CORNER_TOLERANCE);
+    if min_component(x - x_tolerance) > 0.0
+        || max_component(x + x_tolerance) < 0.0
+        || min_component(y - y_tolerance) > 0.0
+        || max_component(y + y_tolerance) < 0.0
+    {
         return None;
     }
 
@@ -203,14 +206,15 @@ pub(crate) fn intersect_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<
     if back {
         weights = -weights;
     }
-    let tolerance = EDGE_TOLERANCE * (z_extent * (x_extent + y_extent) + 4.0 * (x_extent * y_extent));
+    let (x_extent, y_extent) = (max_component(x_abs), max_component(y_abs));
+    let tolerance = EDGE_TOLERANCE * (max_component(z) * (x_extent + y_extent) + 4.0 * (x_extent * y_extent));
     if min_component(weights) < -tolerance {
         return None;
     }
-    // Near an edge, repeat the test with the tighter tolerance of each edge's own two vertices (point 2).
-    if min_component(weights) < 0.0 {
-        let (x, y, z) =
-            (greater_of_others(x.abs()), greater_of_others(y.abs()), greater_of_others(t.abs()) * ray.t_to_sheared);
+    // Outside an edge, repeat the test with the tighter tolerance of each edge's own two vertices (point 2).
+    let is_outside = min_component(weights) < 0.0;
+    if is_outside {
+        let (x, y, z) = (greater_of_others(x_abs), greater_of_others(y_abs), greater_of_others(z));
         let tolerances = EDGE_TOLERANCE * (z * (x + y) + 4.0 * (x * y));
         if min_component(weights + tolerances) < 0.0 {
             return None;
@@ -225,8 +229,9 @@ pub(crate) fn intersect_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<
         return None;
     }
     weights *= 1.0 / area;
-    let t_plane = plane_t(ray, triangle, t, weights);
-    let t_hit = min(max(t_plane, min_component(t)), max_component(t));
+    // Outside an edge, t is that of the point on the edge: the plane may be crossed far from it.
+    let t_hit = if is_outside { dot3(weights, t) } else { plane_t(ray, triangle, t, weights) };
+    let t_hit = min(max(t_hit, min_component(t)), max_component(t));
     Some(TriangleHit { t: t_hit, u: weights.y, v: weights.z, back })
 }
 
@@ -368,8 +373,11 @@ mod tests {
             let depths = Vec3::from_array(corners.map(|v| dot3(ray.t_row, v - origin)));
             let (least, greatest) = (min_component(depths), max_component(depths));
             assert!(hit.t >= least && hit.t <= greatest, "{corners:?}: {} beside {depths}", hit.t);
-            // Check its distance against the exact one.
+            // Check its distance against the exact one, unless the ray passes outside an edge.
             let weights = [1.0 - hit.u - hit.v, hit.u, hit.v];
+            if weights.contains(&0.0) {
+                continue;
+            }
             let Some((t, bound)) = plane_t_and_bound(&ray, corners, weights) else { continue };
             let error = (f64::from(hit.t) - t.clamp(f64::from(least), f64::from(greatest))).abs();
             assert!(error <= bound, "{corners:?} from {origin} along {direction}: {} for {t}, bound {bound:e}", hit.t);

@@ -32,8 +32,8 @@ pub(crate) use light::LightSample;
 #[cfg(test)]
 pub(crate) use query::is_layered;
 pub(crate) use query::{
-    AnyQuery, ClosestQuery, Continuation, HitOrder, Query, SAME_SURFACE_SCALE, T_BEFORE_SCALE, TransmittanceQuery, candidate_hit,
-    depth_scale, intersect_leaf, is_culled, is_cut_out, is_opaque_at,
+    AnyQuery, ClosestQuery, Continuation, GrazingPlane, HitOrder, MAX_GRAZING, Query, T_BEFORE_SCALE, TOUCH_STEP,
+    TransmittanceQuery, candidate_hit, depth_steps, hit_depth, intersect_leaf, is_culled, is_cut_out, is_opaque_at,
 };
 pub(crate) use traversal_state::{TraversalCounter, TraversalRay};
 pub(crate) use traverse::{RayQueries, any_hit, closest_hit, next_hit, run_query, transmittance};
@@ -133,11 +133,12 @@ mod tests {
             brdf { SHARP_REFLECTION_ROUGHNESS, MIN_HIGHLIGHT_ROUGHNESS }
             wide { TLAS_STACK_SIZE, TLAS_LEAF_BIT, BLAS_STACK_SIZE, PENDING_CHILDREN_MASK, NO_ENTRY }
             whitted { MAX_DEPTH, MIN_THROUGHPUT, MAX_PENDING }
-            query { TOUCH_STEP, T_BEFORE_SCALE, SAME_SURFACE_SCALE, EDGE_WEIGHT }
+            query { TOUCH_STEP, MAX_GRAZING, T_BEFORE_SCALE, T_AFTER_SCALE, EDGE_WEIGHT }
         };
         let others = [
             ("NONE", NONE.to_string()),
             ("UNUSED_COORDINATE", format!("{:?}", Node::UNUSED_COORDINATE)),
+            ("INSTANCE_LAYERED", super::query::LAYERED.bits().to_string()),
             ("NEAR_FIRST", (VisitOrder::NearFirst as u32).to_string()),
             ("ANY_ORDER", (VisitOrder::Any as u32).to_string()),
             ("LIGHT_POINT", LIGHT_POINT.to_string()),

@@ -9,9 +9,9 @@
 use glam::Vec3;
 
 use super::KernelScene;
-use super::intersect::{TriangleHit, intersect_triangle, max_component};
-use super::math::{max, min};
+use super::intersect::{TriangleHit, intersect_triangle, max_component, reciprocal_power_of_two};
 use super::material::{fails_alpha_test, surface_transmittance};
+use super::math::{dot3, max, min, transform_vector};
 use super::traversal_state::TraversalRay;
 use super::traverse::transmittance_of_layers;
 use crate::device::layout::{HitRecord, InstanceFlags, NONE, RayRecord, Triangle};
@@ -50,18 +50,21 @@ pub(crate) trait Query: Copy {
     fn accept_hit(&mut self, scene: &KernelScene<'_>, candidate: &HitRecord, flags: u32);
 }
 
-/// Relative width of one step of the order in which a ray meets surfaces that touch, see [`HitOrder`]: 2^-19, about
-/// twice the rounding of t of a plane that is not seen at grazing angles.
+/// Width of one step of the order in which a ray meets surfaces that touch, relative to t, for a surface at right angles
+/// to the ray: 2^-19, more than twice the rounding of t.
 pub(crate) const TOUCH_STEP: f32 = 1.0 / (1 << 19) as f32;
+/// Greatest factor by which a step is wider where a surface is seen at a grazing angle, as the rounding of t is greater
+/// there.
+pub(crate) const MAX_GRAZING: f32 = 64.0;
+/// Times a depth: the greatest t of a hit that may come before a hit at that depth.
+pub(crate) const T_BEFORE_SCALE: f32 = 1.0 + 4.0 * TOUCH_STEP * MAX_GRAZING;
+/// Times a depth: the least t of a hit that may come after a hit at that depth.
+pub(crate) const T_AFTER_SCALE: f32 = 1.0 - 2.0 * TOUCH_STEP * MAX_GRAZING;
 /// Barycentric weight up to which a hit counts as one on the edge of its triangle: the rounding of the weights.
 pub(crate) const EDGE_WEIGHT: f32 = 1.0 / (1 << 22) as f32;
 
-/// The place of a hit in the order in which a ray meets surfaces: by depth, then by instance, then by primitive. Depth
-/// is t, but that of a translucent surface is two [steps](TOUCH_STEP) less, that of a back face one step more. So where
-/// surfaces touch, a translucent one (a label on a wall, glass on a table) is met before an opaque one, and of the
-/// faces of a closed surface the one that faces the ray before the other. Elsewhere that changes nothing.
-///
-/// Only the ray and the triangle enter, so that the order is the same whatever else was visited, and in whatever order.
+/// The place of a hit in the order in which a ray meets surfaces: by [depth](hit_depth), then by instance, then by
+/// primitive.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct HitOrder {
     pub(crate) depth: f32,
@@ -70,13 +73,10 @@ pub(crate) struct HitOrder {
 }
 
 impl HitOrder {
-    /// After all hits.
-    pub(crate) const LAST: Self = Self { depth: f32::MAX, instance: NONE, primitive: NONE };
-
+    /// That of a hit; of [`HitRecord::MISS`] it is after all hits.
     #[inline(always)]
-    pub(crate) fn of(hit: &HitRecord, flags: u32) -> Self {
-        let depth = hit.t * depth_scale(hit.back_face != 0, flags);
-        Self { depth, instance: hit.instance, primitive: hit.primitive }
+    pub(crate) fn of(hit: &HitRecord) -> Self {
+        Self { depth: hit.depth, instance: hit.instance, primitive: hit.primitive }
     }
 
     #[inline(always)]
@@ -88,27 +88,68 @@ impl HitOrder {
     }
 }
 
-/// The depth of a hit over its t.
+/// The depth of a hit, by which hits are ordered: t, but that of a translucent surface is two [steps](TOUCH_STEP) less,
+/// that of a back face one step more. So where surfaces touch, a translucent one (a label on a wall, glass on a table)
+/// is met before an opaque one, and of the faces of a closed surface the one that faces the ray before the other.
+/// Elsewhere that changes nothing. `direction` is the ray's in local space.
+///
+/// Only the ray and the triangle enter, so that the order is the same whatever else was visited, and in whatever order.
 #[inline(always)]
-pub(crate) fn depth_scale(is_back: bool, flags: u32) -> f32 {
+pub(crate) fn hit_depth(hit: &TriangleHit, flags: u32, triangle: &Triangle, direction: Vec3) -> f32 {
+    let steps = depth_steps(hit.back, flags);
+    if steps == 0.0 {
+        return hit.t;
+    }
+    hit.t + hit.t * (steps * TOUCH_STEP * GrazingPlane::of(triangle).grazing(direction))
+}
+
+/// By how many steps the depth of a hit differs from its t.
+#[inline(always)]
+pub(crate) fn depth_steps(is_back: bool, flags: u32) -> f32 {
     match (is_back, has_flags(flags, InstanceFlags::TRANSLUCENT)) {
-        (false, false) => 1.0,
-        (true, false) => 1.0 + TOUCH_STEP,
-        (false, true) => 1.0 - 2.0 * TOUCH_STEP,
-        (true, true) => 1.0 - TOUCH_STEP,
+        (false, false) => 0.0,
+        (true, false) => 1.0,
+        (false, true) => -2.0,
+        (true, true) => -1.0,
     }
 }
 
-/// Times a depth: the greatest t of a hit that may come before a hit at that depth.
-pub(crate) const T_BEFORE_SCALE: f32 = 1.0 + 4.0 * TOUCH_STEP;
-/// Times the depth of the hit that was passed: the greatest depth of what may be the same surface once more.
-pub(crate) const SAME_SURFACE_SCALE: f32 = 1.0 + 2.0 * TOUCH_STEP;
+/// A triangle's normal, and the same with the absolute values of all products, scaled by a power of two: what bounds the
+/// rounding of t (`intersect.rs`, point 5).
+pub(crate) struct GrazingPlane {
+    pub(crate) normal: Vec3,
+    pub(crate) bound: Vec3,
+}
+
+impl GrazingPlane {
+    #[inline(always)]
+    pub(crate) fn of(triangle: &Triangle) -> Self {
+        let [v0, v1, v2] = [triangle.v0, triangle.v1, triangle.v2].map(Vec3::from_array);
+        let (edge_1, edge_2) = (v1 - v0, v2 - v0);
+        let scale = reciprocal_power_of_two(max_component(edge_1.abs().max(edge_2.abs())));
+        let (a, b) = (edge_1 * scale, edge_2 * scale);
+        let plus = Vec3::new(a.y * b.z, a.z * b.x, a.x * b.y);
+        let minus = Vec3::new(a.z * b.y, a.x * b.z, a.y * b.x);
+        Self { normal: plus - minus, bound: plus.abs() + minus.abs() }
+    }
+
+    /// How much greater the rounding of t is along this direction than at right angles to a plane along two axes: about
+    /// 1 over the cosine, at most [`MAX_GRAZING`].
+    #[inline(always)]
+    pub(crate) fn grazing(&self, direction: Vec3) -> f32 {
+        let slope = dot3(self.normal, direction).abs();
+        let bound = dot3(self.bound, direction.abs());
+        if slope * MAX_GRAZING <= bound { MAX_GRAZING } else { bound / slope }
+    }
+}
 
 /// Where a ray goes on: behind a hit that it has passed. The next hit is then the first one after that in the
 /// [order](HitOrder) of hits, so that a ray through many layers meets each of them once, however close they are.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Continuation {
     pub(crate) passed: HitOrder,
+    /// The greatest depth of what may be the surface that was passed once more.
+    pub(crate) same_surface_end: f32,
     /// Whether the hit that was passed was a back face, and whether it was on an edge of its triangle.
     pub(crate) is_back: bool,
     pub(crate) is_on_edge: bool,
@@ -120,31 +161,36 @@ impl Continuation {
     /// A ray that has passed nothing yet.
     pub(crate) const START: Self = Self {
         passed: HitOrder { depth: -1.0, instance: NONE, primitive: NONE },
+        same_surface_end: -1.0,
         is_back: false,
         is_on_edge: false,
         only_opaque: false,
     };
 
-    /// A ray that has passed a hit of an instance with these flags.
-    pub(crate) fn behind(hit: &HitRecord, flags: u32) -> Self {
+    /// A ray of this direction that has passed a hit.
+    pub(crate) fn behind(scene: &KernelScene<'_>, hit: &HitRecord, direction: Vec3) -> Self {
+        let instance = &scene.instances[hit.instance as usize];
+        let local_direction = transform_vector(&instance.local_from_world, direction);
+        let plane = GrazingPlane::of(&scene.triangles[hit.triangle as usize]);
+        let same_surface_end = hit.depth + hit.depth * (2.0 * TOUCH_STEP * plane.grazing(local_direction));
         let (is_back, is_on_edge) = (hit.back_face != 0, is_on_edge(hit));
-        Self { passed: HitOrder::of(hit, flags), is_back, is_on_edge, only_opaque: false }
+        Self { passed: HitOrder::of(hit), same_surface_end, is_back, is_on_edge, only_opaque: false }
     }
 
     /// The least t of a hit that may come next.
     pub(crate) fn t_min(&self) -> f32 {
-        max(self.passed.depth * (1.0 - 2.0 * TOUCH_STEP), 0.0)
+        max(self.passed.depth * T_AFTER_SCALE, 0.0)
     }
 
     /// Whether a hit comes after the one that was passed. A ray along an edge hits both of its triangles: the second
     /// one is the same surface once more, and does not count.
     #[inline(always)]
-    pub(crate) fn is_before(&self, hit: &HitRecord, order: &HitOrder) -> bool {
+    pub(crate) fn is_before(&self, hit: &HitRecord) -> bool {
         let is_same_surface = hit.instance == self.passed.instance
             && (hit.back_face != 0) == self.is_back
-            && order.depth <= self.passed.depth * SAME_SURFACE_SCALE
+            && hit.depth <= self.same_surface_end
             && (self.is_on_edge || is_on_edge(hit));
-        self.passed.is_before(order) && !is_same_surface
+        self.passed.is_before(&HitOrder::of(hit)) && !is_same_surface
     }
 }
 
@@ -159,10 +205,8 @@ fn is_on_edge(hit: &HitRecord) -> bool {
 pub(crate) struct ClosestQuery {
     /// Where the ray goes on.
     pub(crate) start: Continuation,
-    /// The first hit so far; before one is found its `instance` is [`NONE`].
+    /// The first of all candidates offered so far, or [`HitRecord::MISS`].
     pub(crate) hit: HitRecord,
-    /// The depth of `hit`.
-    pub(crate) depth: f32,
     /// The greatest t of a hit that may come before `hit`, or the ray's `t_max`.
     pub(crate) t_max: f32,
 }
@@ -177,32 +221,20 @@ impl ClosestQuery {
     /// For the first hit of a ray that goes on.
     #[inline(always)]
     pub(crate) fn behind(t_max: f32, start: Continuation) -> Self {
-        Self { start, hit: HitRecord::MISS, depth: HitOrder::LAST.depth, t_max }
-    }
-
-    /// The first of all candidates offered, or [`HitRecord::MISS`].
-    #[inline(always)]
-    pub(crate) fn result(&self) -> HitRecord {
-        self.hit
-    }
-
-    /// The place of the first hit so far, after all hits before one is found.
-    #[inline(always)]
-    pub(crate) fn first(&self) -> HitOrder {
-        HitOrder { depth: self.depth, instance: self.hit.instance, primitive: self.hit.primitive }
+        Self { start, hit: HitRecord::MISS, t_max }
     }
 
     /// Whether a candidate comes before the first hit so far, but after the one that the ray has passed.
     #[inline(always)]
-    fn is_first(&self, candidate: &HitRecord, order: &HitOrder) -> bool {
-        order.is_before(&self.first()) && self.start.is_before(candidate, order)
+    fn is_first(&self, candidate: &HitRecord) -> bool {
+        HitOrder::of(candidate).is_before(&HitOrder::of(&self.hit)) && self.start.is_before(candidate)
     }
 
     /// Makes a candidate the first hit.
     #[inline(always)]
-    fn keep(&mut self, candidate: &HitRecord, order: &HitOrder) {
-        (self.hit, self.depth) = (*candidate, order.depth);
-        self.t_max = min(self.t_max, order.depth * T_BEFORE_SCALE);
+    fn keep(&mut self, candidate: &HitRecord) {
+        self.hit = *candidate;
+        self.t_max = min(self.t_max, candidate.depth * T_BEFORE_SCALE);
     }
 }
 
@@ -222,13 +254,12 @@ impl Query for ClosestQuery {
 
     #[inline(always)]
     fn accept_hit(&mut self, scene: &KernelScene<'_>, candidate: &HitRecord, flags: u32) {
-        let order = HitOrder::of(candidate, flags);
-        if self.is_first(candidate, &order)
+        if self.is_first(candidate)
             && !is_culled(candidate, flags)
             && !is_cut_out(scene, candidate, flags)
             && (!self.start.only_opaque || is_opaque_at(scene, candidate, flags))
         {
-            self.keep(candidate, &order);
+            self.keep(candidate);
         }
     }
 }
@@ -273,22 +304,24 @@ pub(crate) struct TransmittanceQuery {
     pub(crate) transmittance: Vec3,
     /// Whether a [layered](is_layered) instance was skipped; those need a second pass, see [`Self::with_layers`].
     pub(crate) has_layers: bool,
+    /// Whether a translucent triangle was hit on an edge, where its neighbour is hit too: then all translucent
+    /// instances need the second pass, in which a surface counts once.
+    pub(crate) has_edges: bool,
 }
 
 impl TransmittanceQuery {
     #[inline(always)]
     pub(crate) fn new(t_max: f32) -> Self {
-        Self { t_max, transmittance: Vec3::ONE, has_layers: false }
+        Self { t_max, transmittance: Vec3::ONE, has_layers: false, has_edges: false }
     }
 
-    /// The transmittance of all instances: multiplies by that of the layered ones, which takes further closest-hit
-    /// traversals.
+    /// The transmittance of all instances. What was layered, or hit on an edge, takes further closest-hit traversals.
     #[inline(always)]
     pub(crate) fn with_layers(&self, scene: &KernelScene<'_>, ray: &RayRecord, ray_mask: u32) -> Vec3 {
-        if self.has_layers {
-            self.transmittance * transmittance_of_layers(scene, ray, ray_mask)
-        } else {
-            self.transmittance
+        match (self.has_layers, self.has_edges) {
+            (_, true) => transmittance_of_layers(scene, ray, InstanceFlags::TRANSLUCENT, ray_mask),
+            (true, false) => self.transmittance * transmittance_of_layers(scene, ray, LAYERED, ray_mask),
+            (false, false) => self.transmittance,
         }
     }
 }
@@ -311,24 +344,32 @@ impl Query for TransmittanceQuery {
 
     #[inline(always)]
     fn accept_hit(&mut self, scene: &KernelScene<'_>, candidate: &HitRecord, flags: u32) {
+        if is_lit_from_behind(candidate, flags) {
+            return;
+        }
+        self.has_edges |= has_flags(flags, InstanceFlags::TRANSLUCENT) && is_on_edge(candidate);
         self.transmittance *= candidate_transmittance(scene, candidate, flags);
         if max_component(self.transmittance) <= 0.0 {
-            *self = Self { t_max: f32::NEG_INFINITY, transmittance: Vec3::ZERO, has_layers: false };
+            *self = Self { t_max: f32::NEG_INFINITY, transmittance: Vec3::ZERO, has_layers: false, has_edges: false };
         }
     }
 }
 
-/// Finds the first hit of a [layered](is_layered) instance behind another one: a [`ClosestQuery`] of only these, which
-/// neither culls nor tests alpha.
+/// Finds the first hit behind another one that dims light, of instances with certain flags: a [`ClosestQuery`] of only
+/// these, which does not test alpha and culls as shadow rays do.
 #[derive(Clone, Copy)]
-pub(super) struct LayerQuery(pub(super) ClosestQuery);
+pub(super) struct LayerQuery {
+    pub(super) closest: ClosestQuery,
+    /// The flags of the instances.
+    pub(super) flags: InstanceFlags,
+}
 
 impl Query for LayerQuery {
     const ORDER: VisitOrder = VisitOrder::NearFirst;
 
     #[inline(always)]
     fn t_max(&self) -> f32 {
-        self.0.t_max
+        self.closest.t_max
     }
 
     /// Never: an earlier layer may follow.
@@ -339,14 +380,13 @@ impl Query for LayerQuery {
 
     #[inline(always)]
     fn skips_instance(&mut self, flags: u32) -> bool {
-        !is_layered(flags)
+        !has_flags(flags, self.flags)
     }
 
     #[inline(always)]
     fn accept_hit(&mut self, _: &KernelScene<'_>, candidate: &HitRecord, flags: u32) {
-        let order = HitOrder::of(candidate, flags);
-        if self.0.is_first(candidate, &order) {
-            self.0.keep(candidate, &order);
+        if self.closest.is_first(candidate) && !is_lit_from_behind(candidate, flags) {
+            self.closest.keep(candidate);
         }
     }
 }
@@ -365,7 +405,8 @@ pub(crate) fn intersect_leaf(
         let Some(hit) = intersect_triangle(&ray.local_shear, triangle) else { continue };
         // Clip to the part of the ray that can still change the result.
         if hit.t >= ray.t_min && hit.t <= query.t_max() {
-            query.accept_hit(scene, &candidate_hit(ray.instance, index, triangle.primitive, &hit), ray.flags);
+            let depth = hit_depth(&hit, ray.flags, triangle, ray.local_shear.direction);
+            query.accept_hit(scene, &candidate_hit(ray.instance, index, triangle.primitive, &hit, depth), ray.flags);
             if query.is_decided() {
                 return;
             }
@@ -375,15 +416,22 @@ pub(crate) fn intersect_leaf(
 
 /// A hit of triangle `triangle` of an instance as a candidate.
 #[inline(always)]
-pub(crate) fn candidate_hit(instance: u32, triangle: u32, primitive: u32, hit: &TriangleHit) -> HitRecord {
+pub(crate) fn candidate_hit(instance: u32, triangle: u32, primitive: u32, hit: &TriangleHit, depth: f32) -> HitRecord {
     let &TriangleHit { t, u, v, back } = hit;
-    HitRecord { t, u, v, instance, primitive, triangle, back_face: u32::from(back), ..HitRecord::MISS }
+    HitRecord { t, u, v, instance, primitive, triangle, back_face: u32::from(back), depth }
 }
 
 /// Whether a candidate is a back face of an instance whose back faces are culled.
 #[inline(always)]
 pub(crate) fn is_culled(candidate: &HitRecord, flags: u32) -> bool {
     candidate.back_face != 0 && has_flags(flags, InstanceFlags::CULL_BACK)
+}
+
+/// Whether light that travels against the ray, as that of a shadow ray does, meets the back of a single-sided triangle.
+/// It passes, as sight does from there. The ray, which comes from the other side, hits the front.
+#[inline(always)]
+pub(crate) fn is_lit_from_behind(candidate: &HitRecord, flags: u32) -> bool {
+    candidate.back_face == 0 && has_flags(flags, InstanceFlags::CULL_BACK)
 }
 
 /// Alpha test: whether a candidate lies in a hole of an alpha-masked material.
@@ -416,8 +464,11 @@ pub(crate) fn candidate_transmittance(scene: &KernelScene<'_>, candidate: &HitRe
 /// a hit of it more than once, but it must dim light once, so it is traversed hit by hit in order of t.
 #[inline(always)]
 pub(crate) fn is_layered(flags: u32) -> bool {
-    has_flags(flags, InstanceFlags::TRANSLUCENT | InstanceFlags::HAS_DUPLICATES)
+    has_flags(flags, LAYERED)
 }
+
+/// The flags of a [layered](is_layered) instance.
+pub(super) const LAYERED: InstanceFlags = InstanceFlags::TRANSLUCENT.union(InstanceFlags::HAS_DUPLICATES);
 
 #[inline(always)]
 fn has_flags(flags: u32, wanted: InstanceFlags) -> bool {

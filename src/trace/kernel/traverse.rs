@@ -13,7 +13,7 @@ use super::query::{
 use super::rope::RopeTraversal;
 use super::traversal_state::{LeafTraversal, TraversalCounter};
 use super::wide::WideTraversal;
-use crate::device::layout::{HitRecord, NONE, RayRecord};
+use crate::device::layout::{HitRecord, InstanceFlags, NONE, RayRecord};
 use crate::trace::Traversal;
 
 /// The queries by which `render_pixel` traces its rays.
@@ -51,7 +51,7 @@ pub(crate) fn closest_hit(scene: &KernelScene<'_>, ray: &RayRecord, ray_mask: u3
 /// [`Continuation::t_min`].
 pub(crate) fn next_hit(scene: &KernelScene<'_>, ray: &RayRecord, start: Continuation, ray_mask: u32) -> HitRecord {
     let (query, ()) = run_query(scene, ray, ray_mask, ClosestQuery::behind(ray.t_max, start));
-    query.result()
+    query.hit
 }
 
 /// Occlusion query: whether the ray hits an opaque surface in [`t_min`, `t_max`].
@@ -61,20 +61,26 @@ pub(crate) fn any_hit(scene: &KernelScene<'_>, ray: &RayRecord, ray_mask: u32) -
 }
 
 /// Transmittance along the ray in [`t_min`, `t_max`], per colour channel: the product over all surfaces hit; 0 if one
-/// is opaque.
+/// is opaque. The light travels against the ray, from a light source to the ray's origin: a single-sided surface that
+/// it meets from behind lets it pass, as it lets sight pass from there.
 pub(crate) fn transmittance(scene: &KernelScene<'_>, ray: &RayRecord, ray_mask: u32) -> Vec3 {
     let (query, ()) = run_query(scene, ray, ray_mask, TransmittanceQuery::new(ray.t_max));
     query.with_layers(scene, ray, ray_mask)
 }
 
-/// Transmittance of [layered](super::is_layered) instances, found by repeated closest-hit traversals that each go on
-/// behind the last hit.
-pub(crate) fn transmittance_of_layers(scene: &KernelScene<'_>, ray: &RayRecord, ray_mask: u32) -> Vec3 {
+/// Transmittance of the instances with certain flags, found by repeated closest-hit traversals that each go on behind
+/// the last hit.
+pub(crate) fn transmittance_of_layers(
+    scene: &KernelScene<'_>,
+    ray: &RayRecord,
+    instances: InstanceFlags,
+    ray_mask: u32,
+) -> Vec3 {
     let mut transmittance = Vec3::ONE;
     let mut start = Continuation::START;
     loop {
         // Find the next layer behind the last one.
-        let layer = next_layer(scene, ray, start, ray_mask);
+        let layer = next_layer(scene, ray, start, instances, ray_mask);
         if layer.instance == NONE {
             return transmittance;
         }
@@ -84,15 +90,22 @@ pub(crate) fn transmittance_of_layers(scene: &KernelScene<'_>, ray: &RayRecord, 
         if max_component(transmittance) <= 0.0 {
             return Vec3::ZERO;
         }
-        start = Continuation::behind(&layer, flags);
+        start = Continuation::behind(scene, &layer, Vec3::from_array(ray.direction));
     }
 }
 
-/// The first hit of a layered instance behind the one that the ray has passed.
-fn next_layer(scene: &KernelScene<'_>, ray: &RayRecord, start: Continuation, ray_mask: u32) -> HitRecord {
+/// The first hit, of an instance with certain flags, behind the one that the ray has passed.
+fn next_layer(
+    scene: &KernelScene<'_>,
+    ray: &RayRecord,
+    start: Continuation,
+    flags: InstanceFlags,
+    ray_mask: u32,
+) -> HitRecord {
     let rest = RayRecord { t_min: max(ray.t_min, start.t_min()), ..*ray };
-    let (query, ()) = run_query(scene, &rest, ray_mask, LayerQuery(ClosestQuery::behind(ray.t_max, start)));
-    query.0.result()
+    let query = LayerQuery { closest: ClosestQuery::behind(ray.t_max, start), flags };
+    let (query, ()) = run_query(scene, &rest, ray_mask, query);
+    query.closest.hit
 }
 
 /// Runs a query by the scene's traversal; returns its final state and what a counter counted (`()` counts nothing).

@@ -251,15 +251,14 @@ impl RayTree {
         }
         // Hit: reconstruct the surface.
         let surface = surface_at(scene, hit, ray.view_direction());
-        let instance = &scene.instances[hit.instance as usize];
         // The first ray is the primary ray: it gives the pixel's normal, distance and identifiers.
         if self.traced_rays == 1 {
-            let [slot, version] = instance.node_key;
+            let [slot, version] = scene.instances[hit.instance as usize].node_key;
             self.pixel.normal = surface.normal;
             self.pixel.distance = hit.t;
             self.pixel.ids = [slot, version, hit.primitive, hit.instance];
         }
-        Some(SurfaceHit { ray, surface, t: hit.t, behind: Continuation::behind(hit, instance.flags) })
+        Some(SurfaceHit { ray, surface, t: hit.t, behind: Continuation::behind(scene, hit, ray.direction) })
     }
 
     /// Adds the surface's emitted and reflected radiance, `light` of it from lights, and pushes its secondary rays. The
@@ -300,7 +299,8 @@ impl RayTree {
         // 3. Push the refracted and the reflected ray.
         let bounces = ray.bounces + 1;
         if surface.transmission > 0.0 {
-            let turn = if surface.thin { ray.turn } else { hit.turn(refracted_direction(surface, direction, cosine, eta)) };
+            let turn =
+                if surface.thin { ray.turn } else { hit.turn(refracted_direction(surface, direction, cosine, eta)) };
             let throughput = throughput * lobes.specular_transmission;
             self.push_ray(params, PendingRay { start: hit.behind, turn, bounces, throughput, ..*ray });
         }

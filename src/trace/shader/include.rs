@@ -12,8 +12,8 @@ use crate::trace::Traversal;
 /// - `closest_hit(ray: RayRecord, ray_mask: u32) -> HitRecord`: the closest hit; `instance == NONE` for a miss.
 /// - `any_hit(ray: RayRecord, ray_mask: u32) -> bool`: whether the ray hits an opaque surface between `t_min` and
 ///   `t_max`.
-/// - `transmittance(ray: RayRecord, ray_mask: u32) -> vec3<f32>`: transmittance between `t_min` and `t_max`, per colour
-///   channel.
+/// - `transmittance(ray: RayRecord, ray_mask: u32) -> vec3<f32>`: the share of light, per colour channel, that arrives
+///   at the ray's origin from its other end. Single-sided triangles let light pass that comes from behind them.
 /// - `surface_at(hit: HitRecord, direction: vec3<f32>) -> Surface`: position, normals and material at a hit of a ray of
 ///   that direction. Only [with surfaces](Self::with_surfaces).
 /// - `offset_ray_origin(surface: Surface, direction: vec3<f32>) -> vec3<f32>`: the origin of a secondary ray of that

@@ -93,7 +93,8 @@ fn what_touches_is_seen_whichever_is_first_and_however_it_is_tilted() {
             for distance in [0.0, 1e-5, 1e-3] {
                 for cover_is_first in [false, true] {
                     let mut scene = Scene::new();
-                    let wall = || (grid(3.0, 5), Material { double_sided: true, ..opaque(GREEN) }, place * at(0.1, 0.2, 0.0));
+                    let wall =
+                        || (grid(3.0, 5), Material { double_sided: true, ..opaque(GREEN) }, place * at(0.1, 0.2, 0.0));
                     let cover_place = place * at(0.0, 0.0, distance) * *shift;
                     if !cover_is_first {
                         let (geometry, material, place) = wall();

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use glam::{DAffine3, DVec3, Vec3, Vec4};
-use ropewalk::graph::{AlphaMode, LightKind};
+use ropewalk::graph::{AlphaMode, BlasKind, LightKind};
 use ropewalk::{Geometry, Material, Scene};
 
 use super::scenes::{at, black, cube, front, middle, put, put_light, render, square};
@@ -130,4 +130,50 @@ fn emission_and_unlit_need_no_light() {
     let emissive = Vec3::new(3.0, 0.0, 1.0);
     put(&mut scene, square(1.0), Material { emissive, ..Material::default() }, DAffine3::IDENTITY);
     assert_eq!(middle(&mut scene, black()), emissive);
+}
+
+/// Light from above, a floor, and between them a square that faces up or down.
+#[test]
+fn single_sided_surfaces_cast_shadows_where_their_front_is_lit() {
+    let half_open =
+        Material { base_color: Vec4::new(1.0, 1.0, 1.0, 0.5), alpha_mode: AlphaMode::Blend, ..Material::default() };
+    // Of a kd-tree several leaves refer to one triangle: a blended square then takes the second pass of shadow rays.
+    let doubled = Geometry { blas_kind: Some(BlasKind::KdTree), ..square(0.5) };
+    let mut compared = 0;
+    for (material, geometry, let_through) in
+        [(Material::default(), square(0.5), 0.0), (half_open.clone(), square(0.5), 0.5), (half_open, doubled, 0.5)]
+    {
+        for (double_sided, faces_light) in [(true, true), (true, false), (false, true), (false, false)] {
+            let mut scene = Scene::new();
+            put(&mut scene, square(1.0), Material { double_sided: true, ..Material::default() }, DAffine3::IDENTITY);
+            put_light(&mut scene, LightKind::Directional, 1.0, DVec3::Z, DVec3::ZERO);
+            let lit = under(&mut scene);
+            let turn = DAffine3::from_rotation_x(if faces_light { 0.0 } else { std::f64::consts::PI });
+            put(&mut scene, geometry.clone(), Material { double_sided, ..material.clone() }, at(0.0, 0.0, 0.5) * turn);
+            let share = if double_sided || faces_light { let_through } else { 1.0 };
+            let found = under(&mut scene);
+            assert!(
+                (found - lit * share).abs() < 1e-6,
+                "double-sided {double_sided}, faces the light {faces_light}: {found} of {lit}"
+            );
+            compared += 1;
+        }
+    }
+    assert_eq!(compared, 12);
+}
+
+/// The radiance of the floor, seen from just above it.
+fn under(scene: &mut Scene) -> f32 {
+    let mut view = front(1, black());
+    view.world_from_view.translation.z = 0.25;
+    render(scene, &view).color[0][0]
+}
+
+#[test]
+fn a_closed_single_sided_surface_casts_its_whole_shadow() {
+    let mut scene = Scene::new();
+    put(&mut scene, square(1.0), Material::default(), DAffine3::IDENTITY);
+    put(&mut scene, cube(), Material { double_sided: false, ..Material::default() }, at(0.0, 0.0, 2.0));
+    put_light(&mut scene, LightKind::Directional, 1.0, DVec3::Z * 9.0, DVec3::ZERO);
+    assert_eq!(under(&mut scene), 0.0);
 }
