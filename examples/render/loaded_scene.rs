@@ -40,7 +40,7 @@ impl LoadedScene {
         view.aovs = arguments.output.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("exr"));
         add_light_if_none(&mut scene, &view).map_err(|error| error.to_string())?;
 
-        let bounds = scene.world_bounds(scene.root()).map_err(|error| error.to_string())?;
+        let bounds = scene.visible_bounds(scene.root()).map_err(|error| error.to_string())?;
         let center = if bounds.is_empty() { DVec3::ZERO } else { bounds.center() };
         Ok(Self { scene, import, view, center })
     }

@@ -35,6 +35,7 @@ mod tree_reads;
 mod validate;
 mod value_checks;
 mod visit;
+mod visible_bounds;
 
 pub use billboard::Billboard;
 pub use blas_kind::{BlasKind, Quality};

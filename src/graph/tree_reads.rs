@@ -77,7 +77,8 @@ impl Scene {
     /// The world-space box around all geometry at and below the node, including hidden geometry and instances. Empty if
     /// there is no geometry. O(entries changed since the last such call + log n), O(nodes) the first time.
     ///
-    /// Conservative: rotated geometry is bounded by the box of its rotated local box.
+    /// Conservative: rotated geometry is bounded by the box of its rotated local box. For the tight box around what is
+    /// visible, at a higher cost, see [`visible_bounds`](Self::visible_bounds).
     ///
     /// # Errors
     /// [`Error::StaleKey`](crate::Error::StaleKey); as [`hierarchy`](Self::hierarchy).

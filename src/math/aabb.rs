@@ -84,6 +84,11 @@ impl Bounds {
         !self.min.cmple(self.max).all()
     }
 
+    /// Whether `other` lies inside or on the boundary; every box contains an empty one.
+    pub fn contains(&self, other: &Self) -> bool {
+        other.is_empty() || (self.min.cmple(other.min).all() && self.max.cmpge(other.max).all())
+    }
+
     /// The bounding box of the transformed box, in the transform's target space (J. Arvo, 1990: exact for the box, an
     /// overestimate for its contents). An empty box stays empty.
     #[must_use]

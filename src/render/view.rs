@@ -79,19 +79,24 @@ impl View {
         Ok(Self { world_from_view, ..Self::look_at(DVec3::ZERO, DVec3::NEG_Z, DVec3::Y, camera, width, height) })
     }
 
-    /// A view that fits the world bounds of the scene into the image, seen from the front, a little from the right and
-    /// from above, by the default camera. Costs as [`Scene::world_bounds`].
+    /// A view that fits what is [visible](Scene::visible_bounds) of the scene into the image, seen by the default
+    /// camera from the front, a little from the right and from above. A flat scene, whose box is thinner than a
+    /// thousandth of its other two extents, is seen face-on: from the side that most of its single-sided triangles
+    /// face, else from the front, right or top. Costs as [`Scene::visible_bounds`]; a flat scene O(visible triangles)
+    /// more.
     ///
     /// # Errors
     /// As [`Scene::hierarchy`].
     pub fn framing(scene: &mut Scene, width: u32, height: u32) -> Result<Self> {
-        let bounds = scene.world_bounds(scene.root())?;
+        let bounds = scene.visible_bounds(scene.root())?;
+        let (from, up) = framing_direction(scene, &bounds)?;
         // The distance to a scene without extent must still be representable in f64 where the scene is.
         let point = Bounds { min: DVec3::ZERO, max: DVec3::ZERO };
         let bounds = if bounds.is_empty() { point } else { bounds };
         let (center, least) = (bounds.center(), bounds.min.abs().max(bounds.max.abs()).max_element() * 1e-9);
         let camera = Camera::default();
-        let mut view = Self::look_at(center + DVec3::new(0.45, 0.35, 1.0), center, DVec3::Y, camera, width, height);
+        // Only the direction matters, which is exact near the origin.
+        let mut view = Self::look_at(from, DVec3::ZERO, up, camera, width, height);
 
         // The least distance at which every corner of the bounds projects into the image, and 8 % more.
         let (half_width, half_height, _) = view.half_extent();
@@ -240,6 +245,22 @@ impl View {
         let grown_height = half_height.max(half_width / image_aspect);
         (grown_width, grown_height, orthographic)
     }
+}
+
+/// From where a scene with these bounds is framed, and what is up: face-on if it is flat, else from the front, a little
+/// from the right and from above.
+fn framing_direction(scene: &mut Scene, bounds: &Bounds) -> Result<(DVec3, DVec3)> {
+    let Some(axis) = flat_axis(bounds) else { return Ok((DVec3::new(0.45, 0.35, 1.0), DVec3::Y)) };
+    let side = if scene.net_area_facing(axis)? < 0.0 { -1.0 } else { 1.0 };
+    // Seen from above, the image's upper edge is at the back; seen from below, at the front.
+    let up = if axis == 1 { DVec3::NEG_Z * side } else { DVec3::Y };
+    Ok((DVec3::AXES[axis] * side, up))
+}
+
+/// The axis along which a box is flat to the eye: thinner than a thousandth of its other two extents.
+fn flat_axis(bounds: &Bounds) -> Option<usize> {
+    let extent = bounds.max - bounds.min;
+    (0..3).find(|&axis| extent[axis] * 1000.0 < extent[(axis + 1) % 3].min(extent[(axis + 2) % 3]))
 }
 
 /// Environment radiance: a gradient from straight up over the horizon to straight down. Linear.

@@ -157,7 +157,7 @@ impl App {
 
     /// The center of the scene's bounds.
     fn scene_center(&mut self) -> DVec3 {
-        let bounds = self.scene.world_bounds(self.scene.root()).ok().filter(|bounds| !bounds.is_empty());
+        let bounds = self.scene.visible_bounds(self.scene.root()).ok().filter(|bounds| !bounds.is_empty());
         bounds.map_or(DVec3::ZERO, |bounds| bounds.center())
     }
 
