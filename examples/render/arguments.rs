@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::error::ErrorKind;
 use clap::{Parser, ValueEnum};
+use ropewalk::graph::WallKind;
 use ropewalk::{DeviceChoice, View};
 
 /// Renders a glTF file, or without one a scene made in code, to an image.
@@ -28,6 +29,9 @@ pub(crate) struct Arguments {
     #[arg(long, value_name = "N", default_value = "3",
           value_parser = clap::value_parser!(u32).range(0..=i64::from(View::MAX_DEPTH)))]
     pub(crate) depth: u32,
+    /// What glass without KHR_materials_volume is: solid, thin, or as each mesh looks
+    #[arg(long, value_name = "KIND", value_enum, default_value_t)]
+    pub(crate) wall: Wall,
     /// The camera to look through, by name or number (default: the first; without one, the whole scene is framed)
     #[arg(long, value_name = "NAME|INDEX")]
     pub(crate) camera: Option<String>,
@@ -62,6 +66,25 @@ impl From<Device> for DeviceChoice {
             Device::Gpu => Self::Gpu,
             Device::Cpu => Self::Cpu,
             Device::Emulated => Self::Emulated,
+        }
+    }
+}
+
+/// `--wall`
+#[derive(Clone, Copy, Debug, Default, ValueEnum)]
+pub(crate) enum Wall {
+    #[default]
+    Auto,
+    Thin,
+    Solid,
+}
+
+impl From<Wall> for WallKind {
+    fn from(wall: Wall) -> Self {
+        match wall {
+            Wall::Auto => Self::Auto,
+            Wall::Thin => Self::Thin,
+            Wall::Solid => Self::Solid,
         }
     }
 }

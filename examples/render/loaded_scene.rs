@@ -59,7 +59,8 @@ fn import(file: &Path, arguments: &Arguments, scene: &mut Scene) -> Result<Impor
         Ok(index) => SceneSelector::Index(index),
         Err(_) => SceneSelector::Name(requested.clone()),
     };
-    let options = ImportOptions::default().with_scene(arguments.scene.as_ref().map(selector));
+    let options =
+        ImportOptions::default().with_scene(arguments.scene.as_ref().map(selector)).with_wall(arguments.wall.into());
     let root = scene.root();
     gltf::import_with(file, &options, scene, root).map_err(|error| error.to_string())
 }

@@ -7,7 +7,6 @@ use rayon::prelude::*;
 use slotmap::SecondaryMap;
 
 use super::buffer_allocator::{BufferAllocator, disjoint_mut};
-use super::closed_surface::is_closed_surface;
 use super::deformation::{
     BlasAction, BlasBuildReasons, BuildReason, ChangeHistory, MAX_BLAS_COST_RATIO, choose_action,
 };
@@ -16,7 +15,7 @@ use super::vertex_streams::{StreamRanges, VertexStreamTable};
 use crate::Result;
 use crate::accel::{Blas, BlasBuildParams, RefitReport, SupportFunction, refit};
 use crate::device::DeviceArrays;
-use crate::graph::{BlasKind, Geometry, GeometryKey, Scene};
+use crate::graph::{BlasKind, Enclosure, Geometry, GeometryKey, Scene};
 
 /// The bottom-level structures and vertex streams on the device, by geometry key.
 #[derive(Debug)]
@@ -53,8 +52,8 @@ pub(super) struct GeometryEntry {
     pub(super) has_duplicates: bool,
     /// The geometry as last written; its arrays are shared with the scene (`Arc`).
     geometry: Geometry,
-    /// Whether `geometry` is a closed surface, once that was asked for.
-    is_closed_surface: OnceLock<bool>,
+    /// Whether `geometry` encloses a volume, once that was asked for.
+    is_solid: OnceLock<bool>,
 }
 
 impl GeometryEntry {
@@ -63,9 +62,9 @@ impl GeometryEntry {
         self.geometry.indices.len()
     }
 
-    /// Whether the geometry is a closed surface. Computed on first use: only transmissive materials ask.
-    pub(super) fn is_closed_surface(&self) -> bool {
-        *self.is_closed_surface.get_or_init(|| is_closed_surface(&self.geometry))
+    /// Whether the geometry encloses a volume. Computed on first use: only transmissive materials ask.
+    pub(super) fn is_solid(&self) -> bool {
+        *self.is_solid.get_or_init(|| Enclosure::of(&self.geometry).is_solid())
     }
 }
 
@@ -152,7 +151,7 @@ impl GeometryTable {
             self.streams.write(&mut entry.streams, &entry.geometry, geometry, &entry.wide_nodes, arrays)?;
             self.triangle_count = self.triangle_count - entry.triangle_count() + geometry.indices.len();
             entry.geometry = geometry.clone();
-            entry.is_closed_surface = OnceLock::new();
+            entry.is_solid = OnceLock::new();
         }
         Ok(update)
     }
@@ -283,7 +282,7 @@ impl GeometryEntry {
             support: SupportFunction::default(),
             has_duplicates: false,
             geometry: Geometry::default(),
-            is_closed_surface: OnceLock::new(),
+            is_solid: OnceLock::new(),
         }
     }
 

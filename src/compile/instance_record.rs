@@ -3,14 +3,14 @@
 use bytemuck::Zeroable as _;
 use glam::DVec3;
 
-use super::geometry_table::GeometryTable;
+use super::geometry_table::{GeometryEntry, GeometryTable};
 use super::instance_table::{CompiledInstance, Member};
-use super::material_table::MaterialTable;
+use super::material_table::{MaterialEntry, MaterialTable};
 use super::pack::InstanceTransform;
 use super::view_dependent::ViewDependentState;
 use crate::device::Needs;
 use crate::device::layout::{InstanceFlags, InstanceRecord};
-use crate::graph::Hierarchy;
+use crate::graph::{Hierarchy, WallKind};
 use crate::math::Aabb;
 
 /// Everything that an instance record is computed from.
@@ -49,11 +49,20 @@ pub(super) fn instance_record(member: &Member, inputs: &RecordInputs<'_>) -> Com
         [geometry.nodes.start, geometry.triangles.start, geometry.streams.record.start, material.record.start];
     let mask = inputs.hierarchy.resolved()[entry].mask;
     let mut flags = material.instance_flags;
-    flags.set(InstanceFlags::THIN, material.needs.contains(Needs::REFRACTION) && !geometry.is_closed_surface());
+    flags.set(InstanceFlags::THIN, material.needs.contains(Needs::REFRACTION) && is_thin(geometry, material));
     flags.set(InstanceFlags::HAS_DUPLICATES, geometry.has_duplicates);
     CompiledInstance {
         record: transform.instance_record(indices, mask, flags, member.node),
         bounds: transform.bounds,
         triangle_count: geometry.triangle_count(),
+    }
+}
+
+/// Whether a transmissive surface is a thin wall: as its material says, else as its geometry looks.
+fn is_thin(geometry: &GeometryEntry, material: &MaterialEntry) -> bool {
+    match material.wall() {
+        WallKind::Auto => !geometry.is_solid(),
+        WallKind::Thin => true,
+        WallKind::Solid => false,
     }
 }

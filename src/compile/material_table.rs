@@ -10,7 +10,7 @@ use super::users::SlotsByKey;
 use crate::Result;
 use crate::device::layout::{InstanceFlags, NONE, TextureFlags};
 use crate::device::{DeviceArrays, Needs};
-use crate::graph::{Material, MaterialKey, Scene, Texture, TextureKey, TextureRef};
+use crate::graph::{Material, MaterialKey, Scene, Texture, TextureKey, TextureRef, WallKind};
 
 /// The materials, texture references and texels on the device.
 #[derive(Debug)]
@@ -41,6 +41,13 @@ struct TextureEntry {
     source: Texture,
     /// The range in `texels`.
     texels: Range<u32>,
+}
+
+impl MaterialEntry {
+    /// What a transmissive surface of the material bounds.
+    pub(super) fn wall(&self) -> WallKind {
+        self.source.wall
+    }
 }
 
 impl MaterialTable {

@@ -18,7 +18,6 @@
 
 mod buffer_allocator;
 mod changes;
-mod closed_surface;
 mod compiler;
 mod deformation;
 mod geometry_table;

@@ -311,8 +311,8 @@ bitflags::bitflags! {
         const ALPHA_MASK = 2;
         /// An occlusion query must evaluate the material's transmittance (alpha mask, blend or transmission).
         const TRANSLUCENT = 4;
-        /// A transmissive material on a geometry that is not closed, and so encloses no volume: light passes without
-        /// refraction.
+        /// A transmissive material on a surface that is a thin wall, by its [`WallKind`](crate::graph::WallKind): light
+        /// passes without refraction.
         const THIN = 8;
         /// Some triangle is in several leaves (spatial splits, kd-tree), so a ray may meet it more than once: queries
         /// that accumulate over hits must count it once.

@@ -11,7 +11,7 @@ use super::texture::ImageRequests;
 use super::warnings::Warnings;
 use super::{Document, GltfFault, WarningKind};
 use crate::Result;
-use crate::graph::{AlphaMode, FilterMode, Material, Sampler, TextureKey, TextureRef, WrapMode};
+use crate::graph::{AlphaMode, FilterMode, Material, Sampler, TextureKey, TextureRef, WallKind, WrapMode};
 
 /// A material whose textures are not in the scene yet.
 pub(super) struct PlannedMaterial {
@@ -38,6 +38,8 @@ pub(super) struct MaterialConverter<'a, 'd> {
     pub(super) document: &'d Document<'d>,
     pub(super) images: &'a mut ImageRequests<'d>,
     pub(super) warnings: &'a mut Warnings,
+    /// What transmissive surfaces bound where the file does not say.
+    pub(super) wall: WallKind,
 }
 
 impl PlannedMaterial {
@@ -55,6 +57,11 @@ impl PlannedMaterial {
     /// Whether it has a normal texture.
     pub(super) fn has_normal_texture(&self) -> bool {
         self.normal.is_some()
+    }
+
+    /// Whether its surfaces transmit light, and the geometry decides what they bound.
+    pub(super) fn is_judged_by_geometry(&self) -> bool {
+        self.values.transmission > 0.0 && self.values.wall == WallKind::Auto
     }
 
     /// The material with the keys of its textures, which are in the scene by now: `keys` by the index of their image.
@@ -85,7 +92,7 @@ impl<'d> MaterialConverter<'_, 'd> {
     pub(super) fn convert(&mut self, index: usize) -> Result<PlannedMaterial> {
         const UNIT: RangeInclusive<f32> = 0.0..=1.0;
         const POSITIVE: RangeInclusive<f32> = 0.0..=f32::MAX;
-        let document = self.document;
+        let (document, unsaid_wall) = (self.document, self.wall);
         let material = &document.materials[index];
         let pbr = &material.pbr_metallic_roughness;
         let pointer = format!("/materials/{index}");
@@ -110,6 +117,10 @@ impl<'d> MaterialConverter<'_, 'd> {
             0.0 => 0.0,
             ior => number("ior", ior, 1.0..=f32::MAX)?,
         };
+        let thickness = match extensions.and_then(|e| e.volume.as_ref()) {
+            Some(volume) => Some(number("thicknessFactor", volume.thickness_factor.0, POSITIVE)?),
+            None => None,
+        };
         let values = Material {
             base_color,
             metallic: number("metallicFactor", pbr.metallic_factor.0, UNIT)?,
@@ -117,6 +128,11 @@ impl<'d> MaterialConverter<'_, 'd> {
             emissive,
             transmission: number("transmissionFactor", transmission.map_or(0.0, |t| t.transmission_factor.0), UNIT)?,
             ior,
+            wall: match thickness {
+                None => unsaid_wall,
+                Some(0.0) => WallKind::Thin,
+                Some(_) => WallKind::Solid,
+            },
             alpha_mode: match material.alpha_mode {
                 Valid(json::material::AlphaMode::Opaque) => AlphaMode::Opaque,
                 Valid(json::material::AlphaMode::Blend) => AlphaMode::Blend,
@@ -136,6 +152,10 @@ impl<'d> MaterialConverter<'_, 'd> {
         };
         // The product of two large numbers may overflow.
         let values = Material { emissive: (emissive * strength).min(Vec3::MAX), ..values };
+
+        if let Some(volume) = extensions.and_then(|e| e.volume.as_ref()) {
+            self.warn_of_attenuation(&pointer, volume, &values);
+        }
 
         // 2. The textures.
         let mut texture = |info: Option<&json::texture::Info>| {
@@ -185,6 +205,15 @@ impl<'d> MaterialConverter<'_, 'd> {
         let image = self.images.request(self.document, texture, self.warnings);
         let sampler = sampler.map_or_else(Sampler::default, to_sampler);
         Ok(Some(PlannedTexture { image, sampler, tex_coord, transform }))
+    }
+
+    /// Warns if light would lose colour on its way through a solid.
+    fn warn_of_attenuation(&mut self, pointer: &str, volume: &json::extensions::material::Volume, values: &Material) {
+        let is_clear = volume.attenuation_distance.0 == f32::INFINITY || volume.attenuation_color.0 == [1.0; 3];
+        if values.wall == WallKind::Solid && values.transmission > 0.0 && !is_clear {
+            let fallback = "not supported: light passes through it without loss";
+            self.warnings.add(self.document, WarningKind::Feature, "attenuation", pointer, fallback);
+        }
     }
 
     /// Clamps a value to its range, and warns if that changes it.

@@ -8,9 +8,13 @@
 //! - Morph targets (at their default weights) and skins (in the rest pose of their joints) are applied to the geometry
 //!   at import. Animations are not played.
 //! - Extensions supported: `EXT_mesh_gpu_instancing`, `KHR_lights_punctual`, `KHR_materials_emissive_strength`,
-//!   `KHR_materials_ior`, `KHR_materials_transmission`, `KHR_materials_unlit`, `KHR_mesh_quantization`,
-//!   `KHR_node_visibility`, `KHR_texture_transform`. A file that requires another one is refused. Other extensions and
-//!   features are ignored and listed in the [`ImportReport`].
+//!   `KHR_materials_ior`, `KHR_materials_transmission`, `KHR_materials_unlit`, `KHR_materials_volume`,
+//!   `KHR_mesh_quantization`, `KHR_node_visibility`, `KHR_texture_transform`. A file that requires another one is
+//!   refused. Other extensions and features are ignored and listed in the [`ImportReport`].
+//! - Of `KHR_materials_volume` the thickness decides whether a transmissive surface bounds a solid or is a thin wall;
+//!   light passes through the solid without loss. Without that extension the specification has thin walls only, of
+//!   which a glass ball would be a soap bubble: [`ImportOptions::wall`] says what is taken instead, by default what the
+//!   geometry looks like, with a note in the report.
 //!
 //! # Malformed and hostile files
 //!
@@ -45,6 +49,7 @@ mod skin;
 mod texture;
 mod topology;
 mod uri;
+mod walls;
 mod warnings;
 
 use std::path::Path;
@@ -64,7 +69,7 @@ use node_forest::NodeForest;
 use plan::ImportPlan;
 use pose::Pose;
 
-use crate::graph::{NodeKey, Scene};
+use crate::graph::{NodeKey, Scene, WallKind};
 use crate::{Error, Result};
 
 /// What to import.
@@ -81,6 +86,10 @@ pub struct ImportOptions {
     /// Which of the file's scenes. By default (`None`) the file's default scene, or else its first; all nodes, if the
     /// file has no scene.
     pub scene: Option<SceneSelector>,
+    /// What the surfaces of a transmissive material without `KHR_materials_volume` bound. By default
+    /// ([`WallKind::Auto`]) each geometry is judged by its shape, and the report says how, as
+    /// [`WarningKind::Guess`]; `Thin` is what the extensions say to the letter.
+    pub wall: WallKind,
 }
 
 impl ImportOptions {
@@ -89,6 +98,12 @@ impl ImportOptions {
     pub fn with_scene(mut self, scene: impl Into<Option<SceneSelector>>) -> Self {
         self.scene = scene.into();
         self
+    }
+
+    /// The same options for transmissive surfaces of which the file does not say what they bound.
+    #[must_use]
+    pub fn with_wall(self, wall: WallKind) -> Self {
+        Self { wall, ..self }
     }
 }
 

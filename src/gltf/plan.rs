@@ -10,13 +10,14 @@ use super::material::{MaterialConverter, PlannedMaterial};
 use super::node_forest::children;
 use super::primitives::{PrimitiveRequests, PrimitiveUse};
 use super::texture::ImageRequests;
+use super::walls::JudgedPrimitive;
 use super::warnings::Warnings;
 use super::{
     Accessors, Budget, Buffers, Document, GltfFault, ImportCounts, ImportOptions, SceneSelector, WarningKind, camera,
-    instancing, light,
+    instancing, light, walls,
 };
 use crate::Result;
-use crate::graph::{Camera, Geometry, Light, Texture, Transform};
+use crate::graph::{Camera, Geometry, Light, Texture, Transform, WallKind};
 
 /// The memory that one node takes in the scene, in bytes, roughly.
 const BYTES_PER_NODE: usize = 512;
@@ -100,6 +101,8 @@ impl ImportPlan {
             scene_from_node: document.hierarchy.scene_from_node(&document.transforms),
             budget,
             warnings,
+            wall: options.wall,
+            walls_to_judge: Vec::new(),
             nodes: Vec::new(),
             cores: Vec::new(),
             core_indices: HashMap::new(),
@@ -116,6 +119,7 @@ impl ImportPlan {
             images,
             mut budget,
             mut warnings,
+            walls_to_judge,
             nodes,
             cores,
             materials,
@@ -125,6 +129,7 @@ impl ImportPlan {
         } = planner;
         let geometries = primitives.build(document, &accessors, &mut budget)?;
         let textures = images.decode(document, buffers, bytes_read, &mut warnings)?;
+        walls::report(document, &geometries, &walls_to_judge, &mut warnings);
 
         // 4. Count, and name the root node.
         counts.mesh_triangles = mesh_triangles.values().sum();
@@ -169,6 +174,10 @@ struct Planner<'a, 'd> {
     scene_from_node: Vec<glam::DAffine3>,
     budget: Budget,
     warnings: Warnings,
+    /// What transmissive surfaces bound where the file does not say.
+    wall: WallKind,
+    /// Primitives of which the geometry decides that.
+    walls_to_judge: Vec<JudgedPrimitive>,
     nodes: Vec<PlannedNode>,
     cores: Vec<PlannedCore>,
     /// The index of each shared core in `cores`.
@@ -281,6 +290,9 @@ impl Planner<'_, '_> {
         let source = &self.document.meshes[mesh].primitives[primitive];
         let material = self.material(source.material.as_ref().map(Index::value))?;
         self.warn_of_missing_attributes(mesh, primitive_use, material);
+        if self.materials[material].is_judged_by_geometry() {
+            self.walls_to_judge.push(JudgedPrimitive { mesh, primitive, geometry });
+        }
         Ok(self.add_core(identity, PlannedCore::Geometry { geometry, material }))
     }
 
@@ -293,7 +305,7 @@ impl Planner<'_, '_> {
             None => PlannedMaterial::gltf_default(),
             Some(index) => {
                 let (images, warnings) = (&mut self.images, &mut self.warnings);
-                MaterialConverter { document: self.document, images, warnings }.convert(index)?
+                MaterialConverter { document: self.document, images, warnings, wall: self.wall }.convert(index)?
             }
         };
         self.materials.push(material);

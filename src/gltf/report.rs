@@ -116,6 +116,8 @@ pub enum WarningKind {
     Value,
     /// Data that the file lacks or that cannot be read; it was left out or replaced.
     Data,
+    /// Something that the file does not say, and what was taken for it.
+    Guess,
 }
 
 impl fmt::Display for ImportWarning {

@@ -159,7 +159,6 @@ fn fallback_text(extension: &str) -> &'static str {
         "KHR_materials_sheen" => "not supported: shown without its sheen",
         "KHR_materials_specular" => "not supported: reflects as its index of refraction says",
         "KHR_materials_variants" => "not supported: the default material is shown",
-        "KHR_materials_volume" => "not supported: light passes through it without loss",
         _ => "not supported: ignored",
     }
 }

@@ -19,11 +19,13 @@ pub struct Material {
     pub roughness: f32,
     /// Emitted radiance, linear, strength included.
     pub emissive: Vec3,
-    /// Fraction of the light not reflected at the surface that is transmitted, 0 to 1 (1: glass). In a closed geometry
-    /// it refracts by `ior`; an open geometry is a thin sheet without refraction.
+    /// Fraction of the light not reflected at the surface that is transmitted, 0 to 1 (1: glass). A solid refracts it
+    /// by `ior`, a thin wall lets it pass without bending: see `wall`.
     pub transmission: f32,
     /// Index of refraction, 1 or more (0 means "infinite", as in glTF: a perfect reflector).
     pub ior: f32,
+    /// Whether a transmissive surface bounds a solid or is a thin wall. No effect without transmission.
+    pub wall: WallKind,
     /// How alpha is used.
     pub alpha_mode: AlphaMode,
     /// Whether back faces are there: sight and light that come from behind pass a single-sided surface, so that it casts
@@ -55,6 +57,7 @@ impl Default for Material {
             emissive: Vec3::ZERO,
             transmission: 0.0,
             ior: 1.5,
+            wall: WallKind::Auto,
             alpha_mode: AlphaMode::Opaque,
             double_sided: true,
             unlit: false,
@@ -95,6 +98,26 @@ impl Material {
         ];
         all.into_iter().flatten()
     }
+}
+
+/// What a transmissive surface bounds (`KHR_materials_volume` in glTF, `thin_walled` in OpenPBR).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum WallKind {
+    /// Judged by the geometry: a surface that encloses a volume bounds a solid, any other is a thin wall. A glass ball
+    /// is solid, a window pane of one sheet thin.
+    ///
+    /// What belongs together by shared vertices (within 2^-18 of the geometry's size) is judged together. It encloses a
+    /// volume if each of its holes is small beside it, as those in the base of a scanned figure are, and its triangles
+    /// face outward; or inward, as a cavity in a solid. Turned inside out as a whole, or one in the other and facing
+    /// the same way, surfaces are thin. Where only parts of a geometry enclose a volume, it is drawn as most of its
+    /// area. The compiler judges each geometry with such a material once, and again when it deforms: O(n log n) in its
+    /// triangles.
+    #[default]
+    Auto,
+    /// A wall without thickness: light passes without bending, and is tinted by the base colour once.
+    Thin,
+    /// The boundary of a solid: light refracts by `ior`. Inside is where the triangles' backs are.
+    Solid,
 }
 
 /// How the alpha of a material's base colour is used.

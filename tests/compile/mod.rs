@@ -3,3 +3,4 @@
 mod compiler;
 mod cores;
 mod deformation;
+mod walls;

@@ -7,11 +7,12 @@ use base64::Engine;
 use glam::{Affine2, Vec2, Vec3, Vec4};
 use image::{DynamicImage, ImageFormat, RgbaImage};
 use ropewalk::gltf::{self, BufferFault, GltfFault, ImportOptions, UriFault, WarningKind};
-use ropewalk::graph::{AlphaMode, FilterMode, Sampler, TextureRef, WrapMode};
+use ropewalk::graph::{AlphaMode, FilterMode, Sampler, TextureRef, WallKind, WrapMode};
 use ropewalk::{Material, Scene, Texture};
 use serde_json::{Value, json};
 
 use super::fixture::*;
+use ropewalk_testkit::Mesh;
 
 /// A file whose triangle has this material, and two sets of texture coordinates.
 fn with_material(material: Value) -> Fixture {
@@ -66,6 +67,7 @@ fn every_factor() {
             "KHR_materials_ior": {"ior": 1.33},
             "KHR_materials_transmission": {"transmissionFactor": 0.8},
             "KHR_materials_unlit": {},
+            "KHR_materials_volume": {"thicknessFactor": 0.1},
         },
     }))
     .import();
@@ -78,11 +80,70 @@ fn every_factor() {
         double_sided: true,
         transmission: 0.8,
         ior: 1.33,
+        wall: WallKind::Solid,
         unlit: true,
         ..Material::default()
     };
     assert_eq!(*imported.material(), expected);
     assert!(imported.notes().is_empty(), "{:?}", imported.notes());
+}
+
+/// A file that shows the cube from -1 to 1, without its top if it is open, with this material.
+fn with_cube(material: Value, open: bool) -> Fixture {
+    let mut fixture = Fixture::new();
+    let cube = Mesh::cube();
+    let positions = fixture.floats("VEC3", bytemuck::cast_slice(&cube.positions));
+    let faces = if open { &cube.indices[2..] } else { &cube.indices[..] };
+    let indices = fixture.accessor(U32, "SCALAR", 3 * faces.len(), bytemuck::cast_slice(faces));
+    fixture.json["materials"] = json!([material]);
+    fixture.with_primitive(json!({"attributes": {"POSITION": positions}, "indices": indices, "material": 0}))
+}
+
+#[test]
+fn thickness_decides_what_glass_bounds() {
+    let glass = |volume: Value| {
+        let mut material = json!({"extensions": {"KHR_materials_transmission": {"transmissionFactor": 1}}});
+        if !volume.is_null() {
+            material["extensions"]["KHR_materials_volume"] = volume;
+        }
+        material
+    };
+    for (volume, expected) in [
+        (json!({}), WallKind::Thin),
+        (json!({"thicknessFactor": 0}), WallKind::Thin),
+        (json!({"thicknessFactor": 0.5, "attenuationColor": [0.5, 1, 1]}), WallKind::Solid),
+    ] {
+        for open in [false, true] {
+            let options = ImportOptions::default().with_wall(WallKind::Thin);
+            for options in [ImportOptions::default(), options] {
+                let imported = with_cube(glass(volume.clone()), open).try_import_with(&options).unwrap();
+                assert_eq!((imported.material().wall, imported.notes()), (expected, vec![]), "{volume}");
+            }
+        }
+    }
+    // Light that would lose colour on its way is reported, where there is a way.
+    for (thickness, notes) in [(0.0, 0), (0.5, 1)] {
+        let colored = json!({"thicknessFactor": thickness, "attenuationColor": [0.5, 1, 1], "attenuationDistance": 2});
+        let imported = with_cube(glass(colored), false).import();
+        assert_eq!(imported.notes().len(), notes, "{:?}", imported.notes());
+        assert!(imported.notes().iter().all(|note| note.contains("attenuation") && note.contains("without loss")));
+    }
+    // Without the extension the mesh is judged, and the report says so and names it.
+    for (open, taken) in [(false, "a solid"), (true, "a thin wall")] {
+        let mut fixture = with_cube(glass(Value::Null), open);
+        fixture.json["meshes"][0]["name"] = json!("jar");
+        let imported = fixture.import();
+        assert_eq!(imported.material().wall, WallKind::Auto);
+        let [note] = &imported.report.warnings[..] else { panic!("{:?}", imported.notes()) };
+        assert_eq!((note.kind, &*note.pointer, &*note.name), (WarningKind::Guess, "/meshes/0/primitives/0", "jar"));
+        assert!(note.fallback.contains(taken), "{note}");
+        for wall in [WallKind::Thin, WallKind::Solid] {
+            let imported = fixture.try_import_with(&ImportOptions::default().with_wall(wall)).unwrap();
+            assert_eq!((imported.material().wall, imported.notes()), (wall, vec![]));
+        }
+    }
+    // What transmits nothing is not judged.
+    assert!(with_cube(json!({}), false).import().notes().is_empty());
 }
 
 #[test]
@@ -108,6 +169,7 @@ fn numbers_out_of_range_are_put_right_and_reported() {
             "KHR_materials_emissive_strength": {"emissiveStrength": 3e38},
             "KHR_materials_ior": {"ior": 0.5},
             "KHR_materials_transmission": {"transmissionFactor": 9},
+            "KHR_materials_volume": {"thicknessFactor": -1},
         },
     }))
     .import();
@@ -115,7 +177,7 @@ fn numbers_out_of_range_are_put_right_and_reported() {
     assert_eq!(material.base_color, Vec4::new(1.0, 0.0, 0.0, 1.0));
     assert_eq!((material.metallic, material.roughness, material.transmission, material.ior), (1.0, 0.0, 1.0, 1.0));
     assert_eq!(material.alpha_mode, AlphaMode::Mask { cutoff: 0.0 });
-    assert_eq!(imported.notes().len(), 7, "{:?}", imported.notes());
+    assert_eq!(imported.notes().len(), 8, "{:?}", imported.notes());
     assert!(imported.notes()[0].contains("baseColorFactor: is 1.5, outside of its range: 1 is used"));
 
     let infinite = with_material(json!({"pbrMetallicRoughness": {"metallicFactor": 1e39}}));

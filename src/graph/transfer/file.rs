@@ -13,7 +13,7 @@ use crate::{Error, Result};
 const MAGIC: [u8; 8] = *b"ROPEWALK";
 
 /// The version of the format: the only one that is read.
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 
 /// What is wrong with a scene file or recording.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

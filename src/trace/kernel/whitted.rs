@@ -10,8 +10,8 @@
 //! - The sky's light is not shadowed: there is no ambient occlusion.
 //! - Nearly smooth surfaces reflect the scene sharply, rough ones a blurred sky; in between the two are mixed. Rough
 //!   glass transmits as sharply as smooth glass.
-//! - A transmissive surface that encloses a volume bounds a solid and refracts light by its index of refraction; any
-//!   other ([`THIN`](crate::device::layout::InstanceFlags::THIN), decided by the compiler) is a thin wall, and light
+//! - A transmissive surface bounds a solid and refracts light by its index of refraction, or it is a thin wall
+//!   ([`THIN`](crate::device::layout::InstanceFlags::THIN), by its [`WallKind`](crate::graph::WallKind)), and light
 //!   passes straight. `KHR_materials_transmission` alone means thin walls everywhere, but then a glass sphere would not
 //!   refract. Which side is inside follows from the winding; nested solids are each refracted against air. A solid is
 //!   tinted by its base colour once, by the square root at each crossing.

@@ -1,8 +1,8 @@
 //! Reflection and refraction compared with closed forms and with an analytic ray tracer in f64.
 
 use glam::{DAffine3, DVec3, Vec3, Vec4};
-use ropewalk::graph::AlphaMode;
-use ropewalk::{Camera, Material, Scene, Sky, View};
+use ropewalk::graph::{AlphaMode, WallKind};
+use ropewalk::{Camera, Geometry, Material, Scene, Sky, View};
 
 use super::scenes::{at, black, cube, front, middle, put, render, sphere, square};
 
@@ -78,6 +78,55 @@ fn glass_cubes_shift_what_is_behind_without_turning_it() {
     let straight = (1.0 - reflectance) * (1.0 - reflectance);
     assert!(found >= straight - 1e-5, "{found}, at least {straight}");
     assert!(found < straight + 2.0 * reflectance, "{found}, {straight} and a little");
+}
+
+/// Several geometries in one.
+fn together(parts: &[Geometry]) -> Geometry {
+    let (mut positions, mut indices) = (Vec::new(), Vec::new());
+    for part in parts {
+        let first = positions.len() as u32;
+        positions.extend_from_slice(&part.positions);
+        indices.extend(part.indices.iter().map(|triangle| triangle.map(|vertex| first + vertex)));
+    }
+    Geometry::new(positions, indices)
+}
+
+/// A hollow bulb of thin glass hardly bends light, a ball does: 33 degrees at 0.7 of its radius. The sky is black
+/// straight ahead, and white to both sides.
+#[test]
+fn a_bulb_is_hollow_and_a_ball_is_solid() {
+    let scaled = |scale: f32| {
+        let ball = sphere(6);
+        Geometry::new(ball.positions.iter().map(|&p| p * scale).collect::<Vec<_>>(), ball.indices)
+    };
+    let inward = |scale: f32| {
+        let ball = scaled(scale);
+        Geometry::new(ball.positions, ball.indices.iter().map(|&[a, b, c]| [a, c, b]).collect::<Vec<_>>())
+    };
+    let sky = Sky { up: Vec3::X, zenith: Vec3::ONE, horizon: Vec3::ZERO, ground: Vec3::ONE };
+    let seen = |geometry: Geometry, wall: WallKind| {
+        let mut scene = Scene::new();
+        put(&mut scene, geometry, Material { wall, ..Material::glass(1.5) }, DAffine3::IDENTITY);
+        let eye = DVec3::new(0.7, 0.0, 10.0);
+        let camera = Camera::orthographic(0.01, 0.01);
+        let mut view = View::look_at(eye, eye - DVec3::Z, DVec3::Y, camera, 1, 1);
+        (view.sky, view.max_depth) = (sky, View::MAX_DEPTH);
+        render(&mut scene, &view).color[0][0]
+    };
+    let ball = seen(scaled(1.0), WallKind::Auto);
+    assert!(ball > 0.45, "a ball: {ball}");
+    // Either way in which a bulb's inner shell may face; and a ball of one surface that is said to be thin.
+    let hollow = [
+        ("a bulb", together(&[scaled(1.0), inward(0.99)]), WallKind::Auto),
+        ("two outward shells", together(&[scaled(1.0), scaled(0.99)]), WallKind::Auto),
+        ("a ball turned inside out", inward(1.0), WallKind::Auto),
+        ("a thin ball", scaled(1.0), WallKind::Thin),
+    ];
+    for (name, geometry, wall) in hollow {
+        let found = seen(geometry, wall);
+        assert!(found < 0.3, "{name}: {found}");
+    }
+    assert_eq!(seen(scaled(1.0), WallKind::Solid), ball);
 }
 
 fn fresnel(cosine: f64, eta: f64) -> f64 {
