@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::error::ErrorKind;
 use clap::{Parser, ValueEnum};
 use ropewalk::graph::WallKind;
+use ropewalk::image::ToneMapping;
 use ropewalk::{DeviceChoice, View};
 
 /// Renders a glTF file, or without one a scene made in code, to an image.
@@ -29,6 +30,9 @@ pub(crate) struct Arguments {
     #[arg(long, value_name = "N", default_value = "3",
           value_parser = clap::value_parser!(u32).range(0..=i64::from(View::MAX_DEPTH)))]
     pub(crate) depth: u32,
+    /// How PNG files show what is brighter than white; unlit colours are always shown as they are
+    #[arg(long, value_name = "MAPPING", value_enum, default_value_t)]
+    pub(crate) tone_map: ToneMap,
     /// What glass without KHR_materials_volume is: solid, thin, or as each mesh looks
     #[arg(long, value_name = "KIND", value_enum, default_value_t)]
     pub(crate) wall: Wall,
@@ -66,6 +70,23 @@ impl From<Device> for DeviceChoice {
             Device::Gpu => Self::Gpu,
             Device::Cpu => Self::Cpu,
             Device::Emulated => Self::Emulated,
+        }
+    }
+}
+
+/// `--tone-map`
+#[derive(Clone, Copy, Debug, Default, ValueEnum)]
+pub(crate) enum ToneMap {
+    #[default]
+    Neutral,
+    None,
+}
+
+impl From<ToneMap> for ToneMapping {
+    fn from(tone_map: ToneMap) -> Self {
+        match tone_map {
+            ToneMap::Neutral => Self::KhronosPbrNeutral,
+            ToneMap::None => Self::None,
         }
     }
 }

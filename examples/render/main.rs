@@ -95,7 +95,7 @@ fn render(
     let rendered = renderer.render(&mut loaded.scene, &view).map_err(|error| error.to_string())?;
 
     let read_start = Instant::now();
-    let image = rendered.image().map_err(|error| error.to_string())?;
+    let image = rendered.image().map_err(|error| error.to_string())?.with_tone_mapping(arguments.tone_map.into());
     let read_time = read_start.elapsed();
 
     let save_start = Instant::now();

@@ -12,7 +12,7 @@ const MIN_THROUGHPUT: f32 = 1.220703125e-4; // 2^-13
 const MAX_PENDING: u32 = 1u + MAX_DEPTH * (u32(NEEDS_REFRACTION) + u32(NEEDS_BLEND));
 
 struct Pixel {
-    // Linear radiance, and 1: the sky is part of the image.
+    // Linear radiance, and 1 (the sky is part of the image) plus the unlit_share.
     color: vec4<f32>,
     // Unit shading normal, facing the camera, world space; zero where the primary ray missed.
     normal: vec3<f32>,
@@ -49,6 +49,8 @@ struct RayTree {
     // Whether the pixel has used up its rays.
     is_limited: bool,
     pending_count: u32,
+    // The sum of the components of the radiance in `color` that came from unlit surfaces.
+    unlit: f32,
     pending: array<PendingRay, MAX_PENDING>,
 }
 
@@ -104,9 +106,22 @@ fn render_pixel(x: u32, y: u32) -> Pixel {
             shade(&tree, ray, hit, surface);
         }
     }
-    pixel.color = vec4<f32>(tree.color, 1.0);
+    pixel.color = vec4<f32>(tree.color, 1.0 + unlit_share(tree.color, tree.unlit));
     pixel.is_limited = tree.is_limited;
     return pixel;
+}
+
+// The share of a pixel's radiance that came from unlit surfaces, 0 to 1, by the sums of components: tone mapping leaves
+// it alone.
+fn unlit_share(color: vec3<f32>, unlit: f32) -> f32 {
+    if unlit > 0.0 {
+        return min(unlit / component_sum(color), 1.0);
+    }
+    return 0.0;
+}
+
+fn component_sum(color: vec3<f32>) -> f32 {
+    return (color.x + color.y) + color.z;
 }
 
 // Adds the surface's emitted and reflected radiance and pushes its secondary rays. The ray behind a blended surface is
@@ -124,7 +139,9 @@ fn shade(tree: ptr<function, RayTree>, ray: PendingRay, hit: HitRecord, surface:
         throughput *= alpha;
     }
     if (surface.flags & MATERIAL_UNLIT) != 0u {
-        (*tree).color += throughput * surface.base_color.xyz;
+        let radiance = throughput * surface.base_color.xyz;
+        (*tree).color += radiance;
+        (*tree).unlit += component_sum(radiance);
         return;
     }
 

@@ -40,7 +40,7 @@ fn png(image: &Image) -> ImageResult<Vec<u8>> {
     Ok(bytes)
 }
 
-/// An EXR with one layer: 32-bit float R, G, B and A, and the AOVs if there are any.
+/// An EXR with one layer: 32-bit float R, G, B and A, and the unlit shares and AOVs if there are any.
 fn exr(image: &Image) -> ImageResult<Vec<u8>> {
     if image.color.is_empty() {
         return Err(ImageError::Parameter(ParameterError::from_kind(ParameterErrorKind::DimensionMismatch)));
@@ -51,6 +51,9 @@ fn exr(image: &Image) -> ImageResult<Vec<u8>> {
         .enumerate()
         .map(|(i, name)| float_channel(name, image.color.iter().map(|pixel| pixel[i])))
         .collect();
+    if !image.unlit.is_empty() {
+        channels.push(float_channel("unlit", image.unlit.iter().copied()));
+    }
     if let Some(aovs) = &image.aovs {
         channels.extend(aov_channels(aovs));
     }

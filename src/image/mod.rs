@@ -4,7 +4,7 @@ mod encode;
 mod save;
 mod tonemap;
 
-pub use tonemap::{khronos_pbr_neutral, srgb_from_linear};
+pub use tonemap::{ToneMapping, khronos_pbr_neutral, srgb_from_linear};
 
 use crate::Result;
 use crate::error::require;
@@ -20,6 +20,12 @@ pub struct Image {
     pub height: u32,
     /// Linear radiance (RGB) and coverage (alpha) of each pixel; not clamped.
     pub color: Vec<[f32; 4]>,
+    /// The share of each pixel's radiance that came from unlit surfaces (`KHR_materials_unlit`), 0 to 1, by the sum of
+    /// its components; also what is seen of them in mirrors and through glass. Empty if there is none. The colours of
+    /// unlit surfaces are meant for the display, so tone mapping leaves this share as it is.
+    pub unlit: Vec<f32>,
+    /// How [`to_rgba8`](Self::to_rgba8) and PNG files show radiance.
+    pub tone_mapping: ToneMapping,
     /// Data of the primary hits, if the view asked for it.
     pub aovs: Option<Aovs>,
 }
@@ -50,7 +56,19 @@ impl Image {
     /// An image without AOVs. `color` is linear RGBA, row by row from the top, and must have `width * height` elements:
     /// [`save`](Self::save) and [`downscaled`](Self::downscaled) fail if it has not.
     pub fn new(width: u32, height: u32, color: Vec<[f32; 4]>) -> Self {
-        Self { width, height, color, aovs: None }
+        Self { width, height, color, unlit: Vec::new(), tone_mapping: ToneMapping::default(), aovs: None }
+    }
+
+    /// The same image with these shares of [`unlit`](Self::unlit) surfaces: none, or one for each pixel.
+    #[must_use]
+    pub fn with_unlit(self, unlit: Vec<f32>) -> Self {
+        Self { unlit, ..self }
+    }
+
+    /// The same image, shown by this tone mapping.
+    #[must_use]
+    pub fn with_tone_mapping(self, tone_mapping: ToneMapping) -> Self {
+        Self { tone_mapping, ..self }
     }
 
     /// The same image with these AOVs.
@@ -69,10 +87,13 @@ impl Image {
         (!slotmap::Key::is_null(&node)).then_some(node)
     }
 
-    /// The image for a display: each pixel tone mapped by [`khronos_pbr_neutral`] and sRGB encoded, 8 bits per channel,
-    /// rounded to nearest. Alpha is linear. NaN and negative values become 0, infinity becomes white. O(pixels).
+    /// The image for a display: each pixel tone mapped as [`tone_mapping`](Self::tone_mapping) says, but for its share
+    /// of [`unlit`](Self::unlit) radiance, and sRGB encoded, 8 bits per channel, rounded to nearest. The 8-bit colours
+    /// of an unlit texture come out as they are. Alpha is linear. NaN and negative values become 0, infinity becomes
+    /// white. O(pixels).
     pub fn to_rgba8(&self) -> Vec<[u8; 4]> {
-        self.color.iter().map(|&pixel| tonemap::rgba8(pixel)).collect()
+        let unlit = self.unlit.iter().copied().chain(std::iter::repeat(0.0));
+        self.color.iter().zip(unlit).map(|(&pixel, unlit)| tonemap::rgba8(self.tone_mapping, pixel, unlit)).collect()
     }
 
     /// An image `1 / factor` as wide and high, whose pixels are the means of blocks of `factor * factor` pixels of this
@@ -103,14 +124,27 @@ impl Image {
             }
             (sum / (factor * factor) as f32).to_array()
         };
-        // 3. AOVs: the first pixel of a block.
+        // 3. The unlit share of that mean: the mean of the shares, each weighted by its pixel's radiance.
+        let unlit_mean = |pixel| {
+            let rows = (0..factor as usize).map(|row| first(pixel) + row * self.width as usize);
+            let (mut unlit, mut all) = (0.0, 0.0);
+            for i in rows.flat_map(|start| start..start + factor as usize) {
+                let radiance: f32 = self.color[i][..3].iter().sum();
+                unlit += self.unlit[i] * radiance;
+                all += radiance;
+            }
+            if unlit > 0.0 { (unlit / all).min(1.0) } else { 0.0 }
+        };
+        let unlit = if self.unlit.is_empty() { Vec::new() } else { pixels().map(unlit_mean).collect() };
+        // 4. AOVs: the first pixel of a block.
         let aovs = self.aovs.as_ref().map(|aovs| Aovs {
             depth: pixels().map(|p| aovs.depth[first(p)]).collect(),
             normal: pixels().map(|p| aovs.normal[first(p)]).collect(),
             node: pixels().map(|p| aovs.node[first(p)]).collect(),
             triangle: pixels().map(|p| aovs.triangle[first(p)]).collect(),
         });
-        Ok(Self { width, height, color: pixels().map(mean).collect(), aovs })
+        let color = pixels().map(mean).collect();
+        Ok(Self { width, height, color, unlit, tone_mapping: self.tone_mapping, aovs })
     }
 
     /// Checks that every array has `width * height` elements.
@@ -119,6 +153,9 @@ impl Image {
         let check =
             |what, len: usize| require(len as u64 == expected, what, &len, "the image's width times its height");
         check("the number of colours of an image", self.color.len())?;
+        if !self.unlit.is_empty() {
+            check("the number of unlit shares of an image", self.unlit.len())?;
+        }
         if let Some(aovs) = &self.aovs {
             check("the number of depths of an image", aovs.depth.len())?;
             check("the number of normals of an image", aovs.normal.len())?;
@@ -144,6 +181,17 @@ mod tests {
         assert_eq!((half.width, half.height), (2, 1));
         // Blocks {0, 1, 5, 6} and {2, 3, 7, 8}; column 4 and row 2 are left over.
         assert_eq!(half.color, [[3.0, 6.0, -3.0, 1.0], [5.0, 10.0, -5.0, 1.0]]);
+    }
+
+    #[test]
+    fn downscaling_weights_unlit_shares_by_radiance() {
+        let full = image(2, 1, vec![[3.0, 0.0, 0.0, 1.0], [0.0, 1.0, 0.0, 1.0]]).with_unlit(vec![1.0, 0.0]);
+        assert!(image(2, 1, full.color.clone()).downscaled(1).unwrap().unlit.is_empty());
+        let full =
+            Image { height: 2, color: [full.color.clone(), full.color].concat(), unlit: full.unlit.repeat(2), ..full };
+        assert_eq!(full.downscaled(2).unwrap().unlit, [0.75]);
+        assert!(full.clone().with_unlit(vec![0.5; 3]).downscaled(1).is_err());
+        assert_eq!(full.with_tone_mapping(ToneMapping::None).downscaled(1).unwrap().tone_mapping, ToneMapping::None);
     }
 
     #[test]

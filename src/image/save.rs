@@ -8,9 +8,10 @@ use crate::{Error, Result};
 
 impl Image {
     /// Writes the image to a file. The extension of the name selects the format:
-    /// - `.png`: [`to_rgba8`](Self::to_rgba8), sRGB;
-    /// - `.exr`: the linear colour, unchanged (channels R, G, B, A), and with AOVs also Z, N.X, N.Y, N.Z and, as
-    ///   unsigned integers, `id.node`, `id.node_version` and `id.triangle`; all 32 bit, ZIP compressed without loss.
+    /// - `.png`: [`to_rgba8`](Self::to_rgba8), sRGB, tone mapped as [`tone_mapping`](Self::tone_mapping) says;
+    /// - `.exr`: the linear colour, unchanged (channels R, G, B, A), [`unlit`](Self::unlit) if it is not empty, and
+    ///   with AOVs also Z, N.X, N.Y, N.Z and, as unsigned integers, `id.node`, `id.node_version` and `id.triangle`; all
+    ///   32 bit, ZIP compressed without loss.
     ///
     /// The file appears whole or not at all: it is written to the same folder under another name and then renamed, so
     /// that an older file of that name stays as it was until the new one is complete.

@@ -2,6 +2,35 @@
 
 use glam::Vec3;
 
+/// How linear radiance becomes a colour for a display, where 1 is white. Colours of unlit surfaces are never changed:
+/// see [`Image::unlit`](super::Image::unlit).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum ToneMapping {
+    /// By [`khronos_pbr_neutral`]: colours above 0.8 are compressed, so that bright ones keep their shape, and all lose
+    /// up to 0.04 for what a dielectric reflects.
+    #[default]
+    KhronosPbrNeutral,
+    /// Not at all: components above 1 are cut off.
+    None,
+}
+
+impl ToneMapping {
+    /// The colour for a display of a radiance of which this share, 0 to 1, came from unlit surfaces: the share is shown
+    /// as it is, the rest is compressed. NaN and negative components are taken as 0, infinite ones as the largest f32.
+    pub(super) fn map(self, linear: Vec3, unlit: f32) -> Vec3 {
+        let linear = to_finite(linear);
+        match self {
+            Self::KhronosPbrNeutral => khronos_pbr_neutral(linear).lerp(linear, unlit),
+            Self::None => linear,
+        }
+    }
+}
+
+fn to_finite(linear: Vec3) -> Vec3 {
+    linear.map(|c| if c > 0.0 { c.min(f32::MAX) } else { 0.0 })
+}
+
 /// Compresses linear radiance into 0 to 1 for a display, by the Khronos PBR Neutral tone mapper: colours up to 0.8 keep
 /// their hue and saturation, so that a base colour under white light of strength 1 appears unchanged; brighter colours
 /// roll off to white.
@@ -15,7 +44,7 @@ pub fn khronos_pbr_neutral(linear: Vec3) -> Vec3 {
     /// How fast compressed colours lose saturation.
     const DESATURATION: f32 = 0.15;
 
-    let linear = linear.map(|c| if c > 0.0 { c.min(f32::MAX) } else { 0.0 });
+    let linear = to_finite(linear);
 
     // 1. Subtract the Fresnel offset (F0 = 0.04), as the Khronos reference does.
     // A dielectric reflects that much of white surroundings; darker colours lose less.
@@ -41,10 +70,10 @@ pub fn srgb_from_linear(linear: f32) -> f32 {
 }
 
 /// One pixel of [`Image::to_rgba8`](super::Image::to_rgba8).
-pub(super) fn rgba8([r, g, b, a]: [f32; 4]) -> [u8; 4] {
+pub(super) fn rgba8(tone_mapping: ToneMapping, [r, g, b, a]: [f32; 4], unlit: f32) -> [u8; 4] {
     // A cast from float to integer saturates, and turns NaN into 0.
     let quantized = |c: f32| (c * 255.0 + 0.5) as u8;
-    let [r, g, b] = khronos_pbr_neutral(Vec3::new(r, g, b)).map(srgb_from_linear).to_array().map(quantized);
+    let [r, g, b] = tone_mapping.map(Vec3::new(r, g, b), unlit).map(srgb_from_linear).to_array().map(quantized);
     [r, g, b, quantized(a)]
 }
 
@@ -93,9 +122,30 @@ mod tests {
 
     #[test]
     fn numbers_that_are_not_finite_do_no_harm() {
-        assert_eq!(rgba8([f32::NAN, f32::NAN, f32::NAN, f32::NAN]), [0, 0, 0, 0]);
-        assert_eq!(rgba8([f32::NEG_INFINITY, -1.0, 0.0, 1.0]), [0, 0, 0, 255]);
-        assert_eq!(rgba8([f32::INFINITY; 4]), [255; 4]);
-        assert_eq!(rgba8([f32::MAX; 4]), [255; 4]);
+        for tone_mapping in [ToneMapping::KhronosPbrNeutral, ToneMapping::None] {
+            for unlit in [0.0, 0.5, 1.0] {
+                let rgba8 = |pixel| rgba8(tone_mapping, pixel, unlit);
+                assert_eq!(rgba8([f32::NAN; 4]), [0, 0, 0, 0]);
+                assert_eq!(rgba8([f32::NEG_INFINITY, -1.0, 0.0, 1.0]), [0, 0, 0, 255]);
+                assert_eq!(rgba8([f32::INFINITY; 4]), [255; 4]);
+                assert_eq!(rgba8([f32::MAX; 4]), [255; 4]);
+            }
+        }
+    }
+
+    /// Every 8-bit colour of an unlit surface comes back, and every other one that is not tone mapped.
+    #[test]
+    fn unlit_colours_are_not_compressed() {
+        let linear = |code: u8| {
+            let encoded = f64::from(code) / 255.0;
+            (if encoded <= 0.04045 { encoded / 12.92 } else { ((encoded + 0.055) / 1.055).powf(2.4) }) as f32
+        };
+        for code in 0..=255 {
+            let pixel = [linear(255), linear(code), linear(0), 1.0];
+            assert_eq!(rgba8(ToneMapping::KhronosPbrNeutral, pixel, 1.0), [255, code, 0, 255]);
+            assert_eq!(rgba8(ToneMapping::None, pixel, 0.0), [255, code, 0, 255]);
+        }
+        let compressed = rgba8(ToneMapping::KhronosPbrNeutral, [linear(255), linear(127), 0.0, 1.0], 0.0);
+        assert_eq!(compressed, [241, 123, 33, 255]);
     }
 }

@@ -268,6 +268,10 @@ impl Frame<'_> {
 
     /// The frame's linear radiance as an `Rgba32Float` texture on the renderer's device, for example to present it:
     /// bind it without filtering, or copy from it. `None` if the CPU traced the frame.
+    ///
+    /// Alpha is 1 plus the share of the radiance that came from unlit surfaces ([`Image::unlit`]). To show a pixel, mix
+    /// its tone mapped colour with its colour by that share, as `examples/viewer/src/present.wgsl` does, and write an
+    /// alpha of 1.
     #[cfg(feature = "gpu")]
     pub fn texture(&self) -> Option<&wgpu::Texture> {
         self.device.tracer().texture()

@@ -14,6 +14,7 @@ use crate::image::{Aovs, Image};
 pub(crate) struct FrameBuffer {
     pub width: u32,
     pub height: u32,
+    /// Linear radiance, and 1 plus the share of it that came from unlit surfaces.
     pub color: Vec<[f32; 4]>,
     pub aovs: Option<AovBuffers>,
     /// Number of pixels pushed that needed more rays than they may have.
@@ -58,15 +59,20 @@ impl FrameBuffer {
         }
     }
 
-    /// Converts to an [`Image`]; a missed pixel's depth becomes infinity.
-    pub(crate) fn into_image(self) -> Image {
+    /// Converts to an [`Image`]; a missed pixel's depth becomes infinity, the shares of unlit surfaces a plane of their
+    /// own.
+    pub(crate) fn into_image(mut self) -> Image {
+        let mut unlit = Vec::new();
+        if self.color.iter().any(|pixel| pixel[3] > 1.0) {
+            unlit = self.color.iter_mut().map(|pixel| std::mem::replace(&mut pixel[3], 1.0) - 1.0).collect();
+        }
         let aovs = self.aovs.map(|AovBuffers { normal_depth, ids }| Aovs {
             depth: normal_depth.iter().map(|&[_, _, _, t]| if t == f32::MAX { f32::INFINITY } else { t }).collect(),
             normal: normal_depth.iter().map(|&[x, y, z, _]| [x, y, z]).collect(),
             node: ids.iter().map(|&[slot, version, _, instance]| node_key(slot, version, instance)).collect(),
             triangle: ids.iter().map(|&[_, _, primitive, _]| primitive).collect(),
         });
-        Image { width: self.width, height: self.height, color: self.color, aovs }
+        Image { unlit, aovs, ..Image::new(self.width, self.height, self.color) }
     }
 }
 

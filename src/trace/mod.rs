@@ -64,7 +64,8 @@ pub trait Tracer {
     }
 
     /// The last frame's linear colour as an `Rgba32Float` texture, or `None` for executors without one. Usable as a
-    /// non-filterable texture binding and as a copy source.
+    /// non-filterable texture binding and as a copy source. Alpha is 1 plus the share of unlit surfaces, see
+    /// [`Frame::texture`](crate::render::Frame::texture).
     #[cfg(feature = "gpu")]
     fn texture(&self) -> Option<&wgpu::Texture> {
         None

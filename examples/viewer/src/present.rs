@@ -115,6 +115,9 @@ fn upload(device: &wgpu::Device, queue: &wgpu::Queue, image: &Image) -> wgpu::Te
         usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
         view_formats: &[],
     };
+    // As a GPU writes it: alpha is 1 plus the unlit share.
+    let mut texels = image.color.clone();
+    texels.iter_mut().zip(&image.unlit).for_each(|(texel, share)| texel[3] += share);
     let order = wgpu::util::TextureDataOrder::LayerMajor;
-    device.create_texture_with_data(queue, &descriptor, order, bytemuck::cast_slice(&image.color))
+    device.create_texture_with_data(queue, &descriptor, order, bytemuck::cast_slice(&texels))
 }

@@ -1,5 +1,6 @@
 // Presents a traced frame: filtered to the window's pixels, tone mapped and sRGB encoded, with the functions of
-// `ropewalk::image`.
+// `ropewalk::image`. A texel's alpha is 1 plus the share of its radiance that came from unlit surfaces, which tone
+// mapping leaves alone.
 
 struct Viewport {
     // In pixels of the window.
@@ -21,28 +22,33 @@ fn fragment(@builtin(position) position: vec4f) -> @location(0) vec4f {
     let pixel = floor(position.xy - viewport.origin);
     let texels = vec2f(textureDimensions(frame));
     let scale = texels / viewport.size;
-    var linear: vec3f;
+    // Radiance, and its unlit share.
+    var linear: vec4f;
     if all(scale >= vec2f(1.0)) {
         linear = mean(vec2i(pixel), vec2i(scale + 0.5));
     } else {
         linear = smoothed((pixel + 0.5) * scale - 0.5, vec2i(texels) - 1);
     }
-    return vec4f(srgb(neutral(linear)), 1.0);
+    return vec4f(srgb(mix(neutral(linear.rgb), linear.rgb, linear.a)), 1.0);
 }
 
-// Mean radiance of the rays of a pixel.
-fn mean(pixel: vec2i, rays: vec2i) -> vec3f {
+// Mean radiance of the rays of a pixel, and its unlit share.
+fn mean(pixel: vec2i, rays: vec2i) -> vec4f {
     var sum = vec3f(0.0);
+    var unlit = 0.0;
     for (var y = 0; y < rays.y; y++) {
         for (var x = 0; x < rays.x; x++) {
-            sum += textureLoad(frame, pixel * rays + vec2i(x, y), 0).rgb;
+            let ray = textureLoad(frame, pixel * rays + vec2i(x, y), 0);
+            sum += ray.rgb;
+            unlit += (ray.a - 1.0) * (ray.r + ray.g + ray.b);
         }
     }
-    return sum / f32(rays.x * rays.y);
+    let share = select(0.0, min(unlit / (sum.r + sum.g + sum.b), 1.0), unlit > 0.0);
+    return vec4f(sum / f32(rays.x * rays.y), share);
 }
 
 // Bilinear interpolation of the four nearest rays. `load` limits their radiance, so that bright ones do not spread.
-fn smoothed(at: vec2f, last: vec2i) -> vec3f {
+fn smoothed(at: vec2f, last: vec2i) -> vec4f {
     let low = floor(at);
     let t = at - low;
     let a = clamp(vec2i(low), vec2i(0), last);
@@ -52,8 +58,9 @@ fn smoothed(at: vec2f, last: vec2i) -> vec3f {
     return mix(above, below, t.y);
 }
 
-fn load(x: i32, y: i32) -> vec3f {
-    return min(textureLoad(frame, vec2i(x, y), 0).rgb, vec3f(4.0));
+fn load(x: i32, y: i32) -> vec4f {
+    let ray = textureLoad(frame, vec2i(x, y), 0);
+    return vec4f(min(ray.rgb, vec3f(4.0)), ray.a - 1.0);
 }
 
 // The Khronos PBR Neutral tone mapper; `khronos_pbr_neutral` of src/image/tonemap.rs.

@@ -68,7 +68,7 @@ pub(crate) fn max_rays_per_pixel(params: &FrameParams, needs: Needs) -> u32 {
 /// Outputs of one pixel.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Pixel {
-    /// Linear radiance, and 1: the sky is part of the image.
+    /// Linear radiance, and 1 (the sky is part of the image) plus the [`unlit_share`].
     pub color: Vec4,
     /// Unit shading normal, facing the camera, world space; zero where the primary ray missed.
     pub normal: Vec3,
@@ -138,6 +138,8 @@ impl PendingRay {
 pub(crate) struct RayTree {
     pixel: Pixel,
     color: Vec3,
+    /// The sum of the components of the radiance in `color` that came from unlit surfaces.
+    unlit: f32,
     /// Number of rays traced so far.
     traced_rays: u32,
     pending_count: usize,
@@ -197,6 +199,7 @@ impl Default for RayTree {
         Self {
             pixel: Pixel::MISS,
             color: Vec3::ZERO,
+            unlit: 0.0,
             traced_rays: 0,
             pending_count: 0,
             pending: [nowhere; MAX_PENDING],
@@ -208,7 +211,7 @@ impl RayTree {
     /// Resets to a primary ray.
     pub(crate) fn reset(&mut self, primary: &RayRecord) {
         let [origin, direction] = [primary.origin, primary.direction].map(Vec3::from_array);
-        (self.pixel, self.color, self.traced_rays) = (Pixel::MISS, Vec3::ZERO, 0);
+        (self.pixel, self.color, self.unlit, self.traced_rays) = (Pixel::MISS, Vec3::ZERO, 0.0, 0);
         self.pending[0] = PendingRay::new(origin, direction, 0, Vec3::ONE);
         self.pending_count = 1;
     }
@@ -276,7 +279,9 @@ impl RayTree {
         }
         // Unlit surfaces show their base colour, and nothing else.
         if surface.flags.contains(MaterialFlags::UNLIT) {
-            self.color += throughput * surface.base_color.xyz();
+            let radiance = throughput * surface.base_color.xyz();
+            self.color += radiance;
+            self.unlit += component_sum(radiance);
             return;
         }
 
@@ -327,8 +332,18 @@ impl RayTree {
 
     /// Returns the finished pixel.
     pub(crate) fn finish(&self) -> Pixel {
-        Pixel { color: self.color.extend(1.0), ..self.pixel }
+        Pixel { color: self.color.extend(1.0 + unlit_share(self.color, self.unlit)), ..self.pixel }
     }
+}
+
+/// The share of a pixel's radiance that came from unlit surfaces, 0 to 1, by the sums of components: tone mapping
+/// leaves it alone.
+fn unlit_share(color: Vec3, unlit: f32) -> f32 {
+    if unlit > 0.0 { (unlit / component_sum(color)).min(1.0) } else { 0.0 }
+}
+
+fn component_sum(color: Vec3) -> f32 {
+    (color.x + color.y) + color.z
 }
 
 impl SurfaceHit {
@@ -341,7 +356,6 @@ impl SurfaceHit {
         Turn { t, origin: offset_ray_origin(surface, direction), direction }
     }
 }
-
 /// Relative index of refraction, n of the viewer's side over n of the other (air = 1); 0 if the latter is infinite.
 fn relative_ior(surface: &Surface) -> f32 {
     if surface.is_inside || surface.ior <= 0.0 {

@@ -9,3 +9,4 @@ mod lights;
 mod paths;
 mod scenes;
 mod textures;
+mod unlit;
