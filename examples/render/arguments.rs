@@ -33,7 +33,7 @@ pub(crate) struct Arguments {
     /// How PNG files show what is brighter than white; unlit colours are always shown as they are
     #[arg(long, value_name = "MAPPING", value_enum, default_value_t)]
     pub(crate) tone_map: ToneMap,
-    /// What glass without KHR_materials_volume is: solid, thin, or as each mesh looks
+    /// What glass is of which the file does not say it: solid, thin, or as each mesh looks
     #[arg(long, value_name = "KIND", value_enum, default_value_t)]
     pub(crate) wall: Wall,
     /// The camera to look through, by name or number (default: the first; without one, the whole scene is framed)

@@ -100,7 +100,7 @@ impl Material {
     }
 }
 
-/// What a transmissive surface bounds (`KHR_materials_volume` in glTF, `thin_walled` in OpenPBR).
+/// What a transmissive surface bounds (`KHR_materials_volume` in glTF, "thin-walled" elsewhere).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum WallKind {
     /// Judged by the geometry: a surface that encloses a volume bounds a solid, any other is a thin wall. A glass ball

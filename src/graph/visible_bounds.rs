@@ -40,7 +40,8 @@ impl Scene {
     /// let geometry = scene.add_geometry(Geometry::new(corners, [[0, 1, 2], [0, 2, 3]]))?;
     /// let material = scene.add_material(Material::default())?;
     /// let turn = DQuat::from_rotation_z(std::f64::consts::FRAC_PI_4);
-    /// let turned = scene.add(scene.root(), Transform::Trs { translation: DVec3::ZERO, rotation: turn, scale: DVec3::ONE })?;
+    /// let turned = Transform::Trs { translation: DVec3::ZERO, rotation: turn, scale: DVec3::ONE };
+    /// let turned = scene.add(scene.root(), turned)?;
     /// let square = scene.add(turned, Core::Geometry { geometry, material })?;
     ///
     /// let tight = scene.visible_bounds(turned)?;
