@@ -12,6 +12,7 @@ use super::instance_record::{RecordInputs, instance_record};
 use super::instance_table::{InstanceTable, Member};
 use super::light_table::LightTable;
 use super::material_table::MaterialTable;
+use super::render_origin::{fits_f32, free_distance, on_grid};
 use super::report::CompileReport;
 use super::users::Users;
 use super::view_dependent::ViewDependentState;
@@ -162,7 +163,7 @@ impl Compiler {
         let changes = self.read_changes(scene);
         self.compile_count += 1;
         if changes.is_new_scene {
-            self.origin = viewpoint.eye;
+            self.origin = on_grid(viewpoint.eye, f64::INFINITY);
         } else if !changes.affects_image && self.view.is_current(viewpoint) && !self.must_rebase(viewpoint.eye) {
             report.update_time = start.elapsed();
             return Ok(report);
@@ -178,7 +179,7 @@ impl Compiler {
         // 4. Write instance and light records relative to the render origin; again if the origin moves to the eye.
         self.write_records(scene, hierarchy, &mut report)?;
         if self.must_rebase(viewpoint.eye) {
-            self.origin = viewpoint.eye;
+            self.origin = on_grid(viewpoint.eye, self.free_distance(viewpoint.eye));
             self.instances.mark_all();
             self.lights.mark_all();
             self.write_records(scene, hierarchy, &mut report)?;
@@ -359,24 +360,26 @@ impl Compiler {
         self.arrays.instances.truncate(0);
     }
 
-    /// Whether the eye is so far from the render origin that the origin must move to it. Near the eye positions then
-    /// have the full resolution of f32, while small camera motion changes nothing on the device.
-    ///
-    /// f32 resolves 2^-24 of the distance to the origin. With the eye inside the scene the limit is 1/256 of the
-    /// scene's radius, which bounds the error of a position by 2.3e-10 of that radius. Outside, the limit is 16 times
-    /// the distance to the scene, which bounds it by 1e-6 of that distance: far less than a pixel. The larger of the
-    /// two counts.
+    /// Whether the render origin must move to the eye: the eye is farther from it than it may go, or f32 does not hold
+    /// the origin, although the scene has become large enough for one that it does hold. Otherwise camera motion
+    /// changes nothing on the device. Where nothing is placed, the origin follows the eye.
     fn must_rebase(&self, eye: DVec3) -> bool {
-        let relative = eye - self.origin;
-        let bounds = self.scene_bounds();
-        let to_scene = (bounds.min - relative).max(relative - bounds.max).max(DVec3::ZERO).length();
-        let limit = if bounds.is_empty() { 0.0 } else { (bounds.radius() / 256.0).max(to_scene * 16.0) };
-        relative.length() > limit
+        let free_distance = self.free_distance(eye);
+        let best = on_grid(eye, free_distance);
+        if free_distance == f64::INFINITY {
+            return self.origin != best;
+        }
+        eye.distance(self.origin) > free_distance || (!fits_f32(self.origin) && fits_f32(best))
+    }
+
+    /// How far the eye may be from the render origin.
+    fn free_distance(&self, eye: DVec3) -> f64 {
+        free_distance(&self.scene_bounds(), eye - self.origin)
     }
 
     /// The box around all instances as they were last compiled, relative to the render origin.
     fn scene_bounds(&self) -> Bounds {
-        match self.arrays.tlas_nodes.first() {
+        match self.arrays.tlas_nodes.first().filter(|root| !root.is_empty_root()) {
             Some(root) => Aabb { min: root.min.into(), max: root.max.into() }.into(),
             None => Bounds::EMPTY,
         }

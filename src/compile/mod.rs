@@ -27,6 +27,7 @@ mod instance_table;
 mod light_table;
 mod material_table;
 mod pack;
+mod render_origin;
 mod report;
 mod users;
 mod vertex_streams;

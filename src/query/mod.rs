@@ -2,7 +2,9 @@
 //!
 //! They traverse the binary nodes of the device arrays, both levels by escape indices, without a stack. Tests are exact
 //! on triangles in f64, relative to the render origin. Positions are those of the rendered geometry: f32 instance
-//! matrices displace it by up to 2^-22 of its distance to the render origin.
+//! matrices displace it by up to 2^-22 of its distance to the render origin. Placements that are translations f32 holds
+//! relative to that origin are not displaced, an identity matrix among them (`compile/render_origin.rs`); what is left
+//! for those is the rounding of f64, 2^-52 of the distance to the render origin.
 
 mod containment;
 mod hit;

@@ -10,6 +10,7 @@ mod inside;
 mod nearest;
 mod oracle;
 mod pick;
+mod placed;
 mod rays;
 mod regions;
 mod ridges;

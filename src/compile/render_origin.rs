@@ -1,0 +1,96 @@
+//! The render origin: how far the eye may go from it, and where it moves to then.
+//!
+//! The device's world is f32, relative to the render origin. If that were the eye's very position, an arbitrary f64,
+//! every placement would be rounded, an identity matrix too. So it is a point of a grid of a power of two
+//! ([`on_grid`]): a translation that is a multiple of the grid's step, within 2^24 steps of the origin, then differs
+//! from it by a number that f32 has, and an instance that is not turned or scaled there is placed exactly.
+
+use glam::DVec3;
+
+use crate::math::Bounds;
+
+/// How far the eye may be from the render origin before that moves. `scene` and `eye` are relative to one point.
+///
+/// f32 resolves 2^-24 of the distance to the origin. With the eye inside the scene the distance is 1/256 of the scene's
+/// radius, which bounds the error of a position by 2.3e-10 of that radius. Outside it is 16 times the distance to the
+/// scene, which bounds the error by 1e-6 of that distance: far less than a pixel. The larger of the two counts. In an
+/// empty scene nothing is placed, and the distance is infinite.
+pub(super) fn free_distance(scene: &Bounds, eye: DVec3) -> f64 {
+    if scene.is_empty() {
+        return f64::INFINITY;
+    }
+    let to_scene = (scene.min - eye).max(eye - scene.max).max(DVec3::ZERO).length();
+    (scene.radius() / 256.0).max(to_scene * 16.0)
+}
+
+/// The render origin for an eye that may go this far: the grid point next to it.
+///
+/// The grid's step is 2^-14 of the eye's greatest coordinate, rounded down to a power of two: f32 holds the origin in
+/// 16 of its 24 bits, and the eye is within 6e-5 of its distance from the world's origin. It is not more than 1/4 of
+/// the free distance: so in a scene that is far smaller than its distance from the world's origin the step is finer,
+/// and the origin has more bits; where those are more than 24, no point in the scene's reach is one that f32 holds.
+///
+/// Without a scene, the free distance being infinite, the origin depends on the eye alone; so in most scenes it does
+/// not depend on what was edited in which order.
+pub(super) fn on_grid(eye: DVec3, free_distance: f64) -> DVec3 {
+    let step = power_of_two((eye.abs().max_element() / f64::from(1 << 14)).min(free_distance / 4.0));
+    let snap = |x: f64| {
+        // A number of 2^52 steps or more is a multiple of the step already.
+        let steps = (x / step).round();
+        if steps.abs() < f64::from(1 << 26) * f64::from(1 << 26) { steps * step } else { x }
+    };
+    DVec3::from_array(eye.to_array().map(snap))
+}
+
+/// Whether f32 has the point: with it as render origin identity placements are exact.
+pub(super) fn fits_f32(point: DVec3) -> bool {
+    point.as_vec3().as_dvec3() == point
+}
+
+/// The greatest power of two that is not above `value`; 0 for 0 and subnormal numbers.
+fn power_of_two(value: f64) -> f64 {
+    f64::from_bits(value.to_bits() & f64::INFINITY.to_bits())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Random numbers of any magnitude between 10 to the power of the two exponents.
+    fn random(rng: &mut fastrand::Rng, [least, greatest]: [f64; 2]) -> f64 {
+        let magnitude = 10f64.powf(least + (greatest - least) * rng.f64());
+        if rng.bool() { magnitude } else { -magnitude }
+    }
+
+    #[test]
+    fn an_origin_is_near_the_eye_and_exact_where_f32_can_be() {
+        let mut rng = fastrand::Rng::with_seed(8);
+        let mut exact = 0;
+        for _ in 0..100_000 {
+            let eye = DVec3::from_array([0; 3].map(|_| random(&mut rng, [-9.0, 9.0])));
+            let free = random(&mut rng, [-9.0, 9.0]).abs();
+            let origin = on_grid(eye, free);
+            assert!(origin.distance(eye) <= free / 4.0, "{eye} {free}: {origin}");
+            // f32 has it unless the rounding of f32 at the eye exceeds a quarter of the free distance.
+            let rounding = power_of_two(eye.abs().max_element()) / f64::from(1 << 23);
+            if rounding <= power_of_two(free / 4.0) {
+                assert!(fits_f32(origin), "{eye} {free}: {origin}");
+                exact += 1;
+            }
+        }
+        assert!(exact > 50_000 && exact < 99_000, "{exact}");
+    }
+
+    #[test]
+    fn an_origin_is_finite_for_any_eye() {
+        for eye in [DVec3::new(0.1, -1e300, 1e-300), DVec3::splat(f64::MIN_POSITIVE), DVec3::ZERO, DVec3::MAX] {
+            for free in [free_distance(&Bounds::EMPTY, eye), 0.0, 1e-310, 1e-30, 1.0, f64::MAX] {
+                let origin = on_grid(eye, free);
+                assert!(
+                    origin.is_finite() && (origin - eye).abs().max_element() <= free / 4.0,
+                    "{eye} {free}: {origin}"
+                );
+            }
+        }
+    }
+}
