@@ -6,6 +6,7 @@ const MIN_COMPONENT: f32 = 0x1p-120;
 const SQRT_MAX_QUOTIENT: f32 = 0x1p63;
 const CORNER_TOLERANCE: f32 = 0x1p-22;
 const EDGE_TOLERANCE: f32 = 0x1p-21;
+const START_ZONE: f32 = 0x1p-6;
 
 // Ray operands of the slab test.
 struct SlabRay {
@@ -161,6 +162,11 @@ fn intersect_triangle(ray: ShearRay, triangle: Triangle) -> TriangleHit {
         t_hit = plane_t(ray, triangle, t, weights);
     }
     t_hit = min(max(t_hit, min_component(t)), max_component(t));
+    // Near the ray's start the tolerance admits no back face (point 2).
+    let start_zone = START_ZONE * (max_component(z) + (x_extent + y_extent));
+    if is_outside && back && abs(t_hit) * ray.t_to_sheared <= start_zone {
+        return TriangleHit();
+    }
     return TriangleHit(t_hit, weights.y, weights.z, back, true);
 }
 

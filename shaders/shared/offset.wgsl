@@ -1,9 +1,10 @@
 // Origins of secondary rays: offset along the geometric normal by a bound on the hit point's rounding error. Twin of
 // src/trace/kernel/offset.rs: the bound is derived there.
 
-const HALF_ULP: f32 = 5.960464477539063e-8; // 2^-24
-const TRANSFORM_ERROR_FACTOR: f32 = 16.0 * HALF_ULP;
-const EDGE_ERROR: f32 = 64.0 * HALF_ULP;
+const HALF_ULP: f32 = 0x1p-24;
+const LEAST_OFFSET: f32 = 0x1p-48;
+const OFFSET_MARGIN: f32 = 1.015625;
+const LIKELY_WEIGHT: f32 = 0.25;
 
 // A hit point in world space, the unit geometric normal on the front side, and the offset for secondary rays along it
 // (a rounding bound, world units).
@@ -15,42 +16,124 @@ struct HitPoint {
 
 // Reconstructs the hit point. A triangle that rounds to a line has no plane: its normal is `fallback`, a unit vector.
 fn hit_point(instance: InstanceRecord, triangle: Triangle, weights: vec3<f32>, fallback: vec3<f32>) -> HitPoint {
-    // World-space position.
-    let local = (triangle.v0 * weights.x + triangle.v1 * weights.y) + triangle.v2 * weights.z;
-    let position = transform_point(instance.world_from_local, local);
-    // Geometric normal from edges that are scaled to about 1.
     let edge_1 = triangle.v1 - triangle.v0;
     let edge_2 = triangle.v2 - triangle.v0;
+    // 1. The position, by way of the vertex with the greatest weight.
+    var corner = triangle.v2;
+    var along_1 = weights.y;
+    var along_2 = weights.z - 1.0;
+    if weights.x >= weights.y && weights.x >= weights.z {
+        corner = triangle.v0;
+        along_2 = weights.z;
+    } else if weights.y >= weights.z {
+        corner = triangle.v1;
+        along_1 = weights.y - 1.0;
+        along_2 = weights.z;
+    }
+    let from_corner = edge_1 * along_1 + edge_2 * along_2;
+    let local = corner + from_corner;
+    let position = transform_point(instance.world_from_local, local);
+
+    // 2. The geometric normal, from edges that are scaled to about 1.
     let extent = max_component(max(abs(edge_1), abs(edge_2)));
     let to_unit_edges = reciprocal_power_of_two(extent);
-    let local_normal = cross3(edge_1 * to_unit_edges, edge_2 * to_unit_edges);
+    let unit_1 = edge_1 * to_unit_edges;
+    let unit_2 = edge_2 * to_unit_edges;
+    let local_normal = cross3(unit_1, unit_2);
     let world_normal = transform_normal(instance.local_from_world, local_normal);
     let largest = max_component(abs(world_normal));
     let has_plane = largest > 0.0;
     if !has_plane {
         return HitPoint(position, fallback, 0.0);
     }
-
-    // Bound of the rounding error per coordinate, local space.
-    let max_abs = max(max(abs(triangle.v0), abs(triangle.v1)), abs(triangle.v2));
-    let round_trip = transform_abs(instance.local_from_world, transform_abs(instance.world_from_local, max_abs));
-    let error = TRANSFORM_ERROR_FACTOR * (max_abs + round_trip) + vec3<f32>(EDGE_ERROR * extent);
-
-    // Distance along the world-space normal that covers it.
     let scale = reciprocal_power_of_two(largest);
     let scaled_length = length3(world_normal * scale);
-    let distance = (dot3(abs(local_normal), error) * scale) / scaled_length;
-    return HitPoint(position, world_normal * (scale / scaled_length), distance);
+    let normal = world_normal * (scale / scaled_length);
+
+    // 3. Bounds of the rounding errors along the normal: in local space steps 1, 4 and 5, in world space 2 and 3.
+    let edges_error = sum_error3(triangle.v0, triangle.v1, edge_1) * abs(along_1)
+        + sum_error3(triangle.v0, triangle.v2, edge_2) * abs(along_2);
+    let reach = abs(edge_1) * abs(along_1) + abs(edge_2) * abs(along_2);
+    let to_corners = to_likely_corners(edge_1, edge_2, weights);
+    let rounded = reach * 2.0 + to_corners * vec3<f32>(3.0, 3.0, 4.0);
+    let local_error = ((edges_error * 2.0 + rounded * HALF_ULP) + sum_error3(corner, from_corner, local))
+        + (transform_error(instance.local_from_world, position, 0.0) + vec3<f32>(LEAST_OFFSET * extent));
+    let products = dot3(abs_cross3(abs(unit_1), abs(unit_2)), to_corners);
+    let along_local = dot3(abs(local_normal), local_error) + products * HALF_ULP;
+    let world_error = transform_error(instance.world_from_local, local, 1.0) + abs(position) * HALF_ULP;
+
+    // 4. The distance along the world-space normal that covers them.
+    let distance = (along_local * scale) / scaled_length + dot3(abs(normal), world_error);
+    return HitPoint(position, normal, distance * OFFSET_MARGIN);
 }
 
-// |M| (max_abs, 1): bounds every coordinate, and every partial sum, of a transformed point whose coordinates do not
-// exceed `max_abs`.
-fn transform_abs(rows: array<vec4<f32>, 3>, max_abs: vec3<f32>) -> vec3<f32> {
+// Bounds the way from a point of a triangle to the vertex by which the next ray's test measures its distance, per
+// coordinate: to any vertex with a weight that is not far from the greatest.
+fn to_likely_corners(edge_1: vec3<f32>, edge_2: vec3<f32>, weights: vec3<f32>) -> vec3<f32> {
+    let from_v0 = edge_1 * weights.y + edge_2 * weights.z;
+    var largest = vec3<f32>(0.0);
+    if weights.x >= LIKELY_WEIGHT {
+        largest = abs(from_v0);
+    }
+    if weights.y >= LIKELY_WEIGHT {
+        largest = max(largest, abs(from_v0 - edge_1));
+    }
+    if weights.z >= LIKELY_WEIGHT {
+        largest = max(largest, abs(from_v0 - edge_2));
+    }
+    return largest;
+}
+
+// The cross product of two vectors with all products added: of vectors without negative components, the sums that
+// bound the rounding of their cross product, whatever their signs were.
+fn abs_cross3(a: vec3<f32>, b: vec3<f32>) -> vec3<f32> {
+    return vec3<f32>(a.y * b.z + a.z * b.y, a.z * b.x + a.x * b.z, a.x * b.y + a.y * b.x);
+}
+
+// Bounds the error of `transform_point` per coordinate. `matrix_rounding` is 1 if the matrix is a rounded one, and 0 if
+// it is exact by definition.
+fn transform_error(rows: array<vec4<f32>, 3>, point: vec3<f32>, matrix_rounding: f32) -> vec3<f32> {
     return vec3<f32>(
-        dot3(abs(rows[0].xyz), max_abs) + abs(rows[0].w),
-        dot3(abs(rows[1].xyz), max_abs) + abs(rows[1].w),
-        dot3(abs(rows[2].xyz), max_abs) + abs(rows[2].w),
+        row_error(rows[0], point, matrix_rounding),
+        row_error(rows[1], point, matrix_rounding),
+        row_error(rows[2], point, matrix_rounding),
     );
+}
+
+// Bounds the error of `row.xyz`.`point` + `row.w`. What is exact adds nothing: a product with a power of two, a sum
+// with 0. So the bound is 0 for an instance that is not moved, and a sum's rounding for one that is only moved.
+fn row_error(row: vec4<f32>, point: vec3<f32>, matrix_rounding: f32) -> f32 {
+    let products = row.xyz * point;
+    // A rounding of each product, and of each number of the matrix, that is no power of two.
+    let is_rounded = has_mantissa(row.xyz);
+    let product_error = dot3(abs(products), is_rounded) * (1.0 + matrix_rounding);
+    // The translation of an inverse is exact where its row is one power of two.
+    let nonzero = select(vec3<u32>(0u), vec3<u32>(1u), row.xyz != vec3<f32>(0.0));
+    let is_exact = nonzero.x + nonzero.y + nonzero.z <= 1u && max_component(is_rounded) == 0.0;
+    let translation_error = select(abs(row.w) * matrix_rounding, 0.0, is_exact);
+    // The sums.
+    let sum_xy = products.x + products.y;
+    let sum_xyz = sum_xy + products.z;
+    let sums = sum_error(products.x, products.y, sum_xy)
+        + sum_error(sum_xy, products.z, sum_xyz)
+        + sum_error(sum_xyz, row.w, sum_xyz + row.w);
+    return (product_error + translation_error) * HALF_ULP + sums;
+}
+
+// 1 for a number that is neither 0 nor a power of two, else 0.
+fn has_mantissa(value: vec3<f32>) -> vec3<f32> {
+    let mantissa = bitcast<vec3<u32>>(value) & vec3<u32>(0x007fffffu);
+    return select(vec3<f32>(1.0), vec3<f32>(0.0), mantissa == vec3<u32>(0u));
+}
+
+// Bounds the rounding error of a sum: half an ulp of it, and no more than the smaller operand, since the greater one is
+// a number that it could be rounded to.
+fn sum_error(a: f32, b: f32, sum: f32) -> f32 {
+    return min(min(abs(a), abs(b)), abs(sum) * HALF_ULP);
+}
+
+fn sum_error3(a: vec3<f32>, b: vec3<f32>, sum: vec3<f32>) -> vec3<f32> {
+    return vec3<f32>(sum_error(a.x, b.x, sum.x), sum_error(a.y, b.y, sum.y), sum_error(a.z, b.z, sum.z));
 }
 
 // The origin of a secondary ray with the given direction: the position offset along the geometric normal to the side

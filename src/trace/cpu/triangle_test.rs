@@ -9,7 +9,7 @@ use fearless_simd::{Simd, f32x4, f32x16};
 use super::shear::SHEAR_AXES;
 use super::simd::{abs, map_axes, max_component, min_component};
 use crate::device::layout::Triangle;
-use crate::trace::kernel::{CORNER_TOLERANCE, EDGE_TOLERANCE, SQRT_MAX_QUOTIENT};
+use crate::trace::kernel::{CORNER_TOLERANCE, EDGE_TOLERANCE, SQRT_MAX_QUOTIENT, START_ZONE};
 
 /// Hits, one ray-triangle pair per lane: distances and barycentric weights of the second and third vertex.
 pub(super) struct TriangleHits<V> {
@@ -120,6 +120,10 @@ pub(super) fn intersect_triangles<S: Simd, V: SimdFloat<S, Element = f32>>(
         t_hit = is_outside.select((w[0] * t[0] + w[1] * t[1]) + w[2] * t[2], t_hit);
     }
     let t_hit = t_hit.max(min_component(t)).min(max_component(t));
+    // Near the ray's start the tolerance admits no back face.
+    let start_zone = (max_component(z) + (x_extent + y_extent)) * START_ZONE;
+    let at_start = is_outside & back & (t_hit.abs() * t_to_sheared).simd_le(start_zone);
+    hit_lanes &= !at_start.to_bitmask();
     Some((hit_lanes, TriangleHits { t: t_hit, u: w[1], v: w[2], back: back.to_bitmask() }))
 }
 

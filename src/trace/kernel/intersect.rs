@@ -21,6 +21,13 @@
 //!    v^2. X, Y and Z may be those of the edge's two corners alone: a tighter tolerance, so that a ray that leaves past
 //!    a convex edge misses what lies behind it. It is that of both triangles at an edge, as is that of a corner: at a
 //!    ridge a ray hits both or neither.
+//!    A ray that starts on the surface beside a convex edge would still hit the far side of it from behind: while it has
+//!    not gone far, it is no higher above the edge than the tolerance. Off a plane of slope MIN_COSINE or more (2^-10) it
+//!    is that high after at most 2^10 times five [`EDGE_TOLERANCE`]s of the edge's length, 2^-8.6. So a back face that
+//!    only the tolerance admits does not count within [`START_ZONE`] of the triangle's extent from the ray's start. What
+//!    that costs: a ray that starts there, within a closed mesh, and goes through an edge within rounding, may leave it
+//!    on a device that contracts. Without contraction two triangles compute their common edge alike, and one of them is
+//!    hit without tolerance.
 //! 3. **Box.** The ray hits the triangle at a mean P of the corners' p, and t = P.z / direction.z. A box around the
 //!    triangle has min <= corner, and rounding is monotonic: the computed min - origin is at most P. By its reciprocal,
 //!    its product, and S, the plane's computed t is at most 6 v beyond t; that of the far plane at most 6 v before it.
@@ -56,6 +63,8 @@ pub(crate) const SQRT_MAX_QUOTIENT: f32 = (1_u64 << 63) as f32;
 pub(crate) const CORNER_TOLERANCE: f32 = 1.0 / (1 << 22) as f32;
 /// See point 2.
 pub(crate) const EDGE_TOLERANCE: f32 = 1.0 / (1 << 21) as f32;
+/// See point 2.
+pub(crate) const START_ZONE: f32 = 1.0 / (1 << 6) as f32;
 
 /// Ray operands of the slab test.
 #[derive(Clone, Copy)]
@@ -175,7 +184,8 @@ pub(crate) fn shear_ray(origin: Vec3, direction: Vec3, extent: f32) -> ShearRay 
 
 /// Intersects the ray's whole line with a triangle; the caller checks [`t_min`, `t_max`]. The point is on the triangle,
 /// tolerance or not: the weights are not negative, and t lies between those of the vertices. A triangle whose
-/// projection along the ray has no area is missed.
+/// projection along the ray has no area is missed, and so is a back face beside the ray's start that the tolerance alone
+/// admits (point 2).
 #[inline]
 pub(crate) fn intersect_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<TriangleHit> {
     // Shear the vertices.
@@ -232,6 +242,11 @@ pub(crate) fn intersect_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<
     // Outside an edge, t is that of the point on the edge: the plane may be crossed far from it.
     let t_hit = if is_outside { dot3(weights, t) } else { plane_t(ray, triangle, t, weights) };
     let t_hit = min(max(t_hit, min_component(t)), max_component(t));
+    // Near the ray's start the tolerance admits no back face (point 2).
+    let start_zone = START_ZONE * (max_component(z) + (x_extent + y_extent));
+    if is_outside && back && t_hit.abs() * ray.t_to_sheared <= start_zone {
+        return None;
+    }
     Some(TriangleHit { t: t_hit, u: weights.y, v: weights.z, back })
 }
 

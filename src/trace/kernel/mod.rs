@@ -26,7 +26,7 @@ mod wide;
 pub(crate) use camera::camera_ray;
 pub(crate) use intersect::{
     BOX_ENTRY_SCALE, CORNER_TOLERANCE, EDGE_TOLERANCE, MIN_COMPONENT, MIN_RELATIVE_COMPONENT, SQRT_MAX_QUOTIENT,
-    SlabRay, TriangleHit, intersects_box, max_component, shear_ray, slab_ray,
+    START_ZONE, SlabRay, TriangleHit, intersects_box, max_component, shear_ray, slab_ray,
 };
 pub(crate) use light::LightSample;
 #[cfg(test)]
@@ -124,11 +124,11 @@ mod tests {
         }
         let kernel = named! {
             intersect { BOX_ENTRY_SCALE, MIN_RELATIVE_COMPONENT, MIN_COMPONENT, SQRT_MAX_QUOTIENT }
-            intersect { CORNER_TOLERANCE, EDGE_TOLERANCE }
+            intersect { CORNER_TOLERANCE, EDGE_TOLERANCE, START_ZONE }
             texture { SRGB_LINEAR_END, SRGB_LINEAR_SLOPE, SRGB_SCALE, SRGB_OFFSET }
             texture { SRGB_FIT_6, SRGB_FIT_5, SRGB_FIT_4, SRGB_FIT_3, SRGB_FIT_2, SRGB_FIT_1, SRGB_FIT_0 }
             surface { MIN_COSINE }
-            offset { HALF_ULP, TRANSFORM_ERROR_FACTOR, EDGE_ERROR }
+            offset { HALF_ULP, LEAST_OFFSET, OFFSET_MARGIN, LIKELY_WEIGHT }
             sky { COSINE_INTEGRAL_6, COSINE_INTEGRAL_4, COSINE_INTEGRAL_2, COSINE_INTEGRAL_0 }
             brdf { SHARP_REFLECTION_ROUGHNESS, MIN_HIGHLIGHT_ROUGHNESS }
             wide { TLAS_STACK_SIZE, TLAS_LEAF_BIT, BLAS_STACK_SIZE, PENDING_CHILDREN_MASK, NO_ENTRY }

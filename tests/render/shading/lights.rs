@@ -2,9 +2,9 @@
 
 use std::sync::Arc;
 
-use glam::{DAffine3, DVec3, Vec3, Vec4};
+use glam::{DAffine3, DQuat, DVec3, Vec3, Vec4};
 use ropewalk::graph::{AlphaMode, BlasKind, LightKind};
-use ropewalk::{Geometry, Material, Scene};
+use ropewalk::{Camera, Geometry, Material, Scene, View};
 
 use super::scenes::{at, black, cube, front, middle, put, put_light, render, square};
 
@@ -117,6 +117,40 @@ fn shadows_have_sharp_edges_where_they_belong() {
         let in_shadow = (0.25..1.25).contains(&x) && y.abs() < 0.5;
         let hidden = (-1.75..-0.75).contains(&x) && y.abs() < 0.5;
         assert!(hidden || (color[0] == 0.0) == in_shadow, "({x}, {y}): {color:?}");
+    }
+}
+
+/// Whether a plate from -0.5 to 0.5 at this height above the middle of a ground throws its shadow as far to the right
+/// as it is high, and no farther; everything is turned by `turn` about the middle.
+fn plate_throws_its_shadow(half: f32, height: f64, turn: DQuat) -> bool {
+    let turned = |x: f64, y: f64, z: f64| DAffine3::from_quat(turn) * at(x, y, z);
+    let mut scene = Scene::new();
+    put(&mut scene, square(half), Material::default(), turned(0.0, 0.0, 0.0));
+    put(&mut scene, square(0.5), Material::default(), turned(0.0, 0.0, height));
+    put_light(&mut scene, LightKind::Directional, 1.0, turn * DVec3::new(-1.0, 0.0, 1.0), DVec3::ZERO);
+    let mut is_lit = |x: f64, y: f64| {
+        let target = turn * DVec3::new(0.5 + x * height, y, 0.0);
+        let camera = Camera::orthographic(1e-3 * height as f32, 1e-3 * height as f32);
+        let view = View::look_at(target + turn * DVec3::Z * 2.0, target, turn * DVec3::Y, camera, 1, 1);
+        render(&mut scene, &View { sky: black(), ..view }).color[0][0] > 0.0
+    };
+    // Across the ground's diagonal, at (0.5, 0.5) * height beside the plate's corner, and elsewhere.
+    let places = [0.49, 0.3, 0.0, -0.2];
+    places.iter().all(|&y| !is_lit(0.1, y) && !is_lit(0.5, y) && !is_lit(0.9, y) && is_lit(1.1, y))
+}
+
+#[test]
+fn what_almost_touches_a_wide_ground_throws_its_shadow() {
+    let tilted = DQuat::from_axis_angle(DVec3::new(1.0, 2.0, 0.5).normalize(), 0.7);
+    for half in [10.0, 1e4, 1e6] {
+        // A plane that lies along two axes has no rounding of its own.
+        for height in [0.05, 1e-3] {
+            assert!(plate_throws_its_shadow(half, height, DQuat::IDENTITY), "{height} above {half}");
+        }
+    }
+    // A tilted one has that of its coordinates: 5 cm are some 50 ulps of 10 km, and 5 mm some 5000 of 10 m.
+    for (half, height) in [(1e4, 0.05), (10.0, 0.005)] {
+        assert!(plate_throws_its_shadow(half, height, tilted), "{height} above {half}");
     }
 }
 
