@@ -8,6 +8,8 @@ use ropewalk::graph::WallKind;
 use ropewalk::image::ToneMapping;
 use ropewalk::{DeviceChoice, View};
 
+use crate::allowed_folders::check_folders;
+
 /// Renders a glTF file, or without one a scene made in code, to an image.
 #[derive(Debug, Parser)]
 #[command(name = "render", version, about, args_override_self = true)]
@@ -42,6 +44,9 @@ pub(crate) struct Arguments {
     /// The scene of the file, by name or number (default: the file's own default)
     #[arg(long, value_name = "NAME|INDEX")]
     pub(crate) scene: Option<String>,
+    /// Another folder below which the file may name buffers and images, besides its own; can be given several times
+    #[arg(long, value_name = "FOLDER", action = clap::ArgAction::Append)]
+    pub(crate) allow_folder: Vec<PathBuf>,
     /// Turntable: write N numbered images from all around
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub(crate) frames: Option<u32>,
@@ -146,6 +151,7 @@ impl Arguments {
         if self.scene.is_some() && self.file.is_none() {
             return Err("--scene chooses a scene of a file, but no file is given".to_owned());
         }
+        check_folders(&self.allow_folder)?;
         let (width, height) = self.traced_size();
         let samples = u64::from(width) * u64::from(height);
         if samples > MAX_SAMPLES {

@@ -6,6 +6,7 @@ use glam::{DAffine3, DMat3, DQuat, DVec3};
 use ropewalk::gltf::{self, ImportOptions, ImportReport, SceneSelector};
 use ropewalk::{NodeKey, Scene, Sky, View};
 
+use crate::allowed_folders::file_policy;
 use crate::arguments::Arguments;
 use crate::builtin;
 use crate::cameras_and_lights::{add_light_if_none, camera_name, cameras};
@@ -59,8 +60,10 @@ fn import(file: &Path, arguments: &Arguments, scene: &mut Scene) -> Result<Impor
         Ok(index) => SceneSelector::Index(index),
         Err(_) => SceneSelector::Name(requested.clone()),
     };
-    let options =
-        ImportOptions::default().with_scene(arguments.scene.as_ref().map(selector)).with_wall(arguments.wall.into());
+    let options = ImportOptions::default()
+        .with_scene(arguments.scene.as_ref().map(selector))
+        .with_wall(arguments.wall.into())
+        .with_files(file_policy(file, &arguments.allow_folder));
     let root = scene.root();
     gltf::import_with(file, &options, scene, root).map_err(|error| error.to_string())
 }

@@ -3,6 +3,7 @@
 //! `cargo run --release --example render` writes `out.png`; `-- --help` lists the options. Uses a GPU if there is one.
 //! A failure prints one line to standard error, ends with exit code 2, and leaves no file behind.
 
+mod allowed_folders;
 mod arguments;
 mod builtin;
 mod cameras_and_lights;

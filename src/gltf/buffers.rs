@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 use std::collections::HashMap;
 
-use super::uri::{self, UriTarget};
+use super::files::{ExternalFiles, UriTarget};
 use super::{BufferFault, Document};
 use crate::Result;
 
@@ -20,7 +20,7 @@ pub(super) struct Buffers<'a> {
 
 impl<'a> Buffers<'a> {
     /// Reads every buffer, each file once. `bin` is the binary chunk of a GLB file.
-    pub(super) fn load(document: &Document, bin: Option<&'a [u8]>) -> Result<Self> {
+    pub(super) fn load(document: &Document, files: &ExternalFiles, bin: Option<&'a [u8]>) -> Result<Self> {
         let mut buffers = Self { data: Vec::new(), canonical_buffer: Vec::new(), external_bytes: 0 };
         // 1. Merge buffers with the same target, and find the length to read.
         let mut needed: HashMap<UriTarget, (usize, u64)> = HashMap::new();
@@ -29,7 +29,8 @@ impl<'a> Buffers<'a> {
                 buffers.canonical_buffer.push(i);
                 continue;
             };
-            let target = uri::resolve(uri, document.path)
+            let target = files
+                .resolve(uri)
                 .map_err(|fault| document.error_at(format!("/buffers/{i}"), BufferFault::Uri(fault)))?;
             // Read as many bytes as the longest of the buffers with this target declares.
             let (first, length) = needed.entry(target).or_insert((i, 0));
@@ -45,8 +46,8 @@ impl<'a> Buffers<'a> {
             *data = bin.map(Cow::Borrowed);
         }
         for (target, (i, length)) in needed {
-            let data = target
-                .read(length)
+            let data = files
+                .read(&target, length)
                 .map_err(|fault| document.error_at(format!("/buffers/{i}"), BufferFault::Uri(fault)))?;
             buffers.external_bytes += data.len() as u64;
             buffers.data[i] = Some(Cow::Owned(data));

@@ -279,6 +279,24 @@ pub enum UriFault {
         /// The path, percent-decoded if it was absolute only then.
         path: String,
     },
+    /// [`ImportOptions::files`](super::ImportOptions::files) does not allow the file. It may exist or not.
+    #[error("the external file {uri:?} {rule}")]
+    NotAllowed {
+        /// The URI in the glTF file.
+        uri: String,
+        /// The rule that it breaks.
+        rule: FileRule,
+    },
+    /// The application's resolver returned an error.
+    #[error("the application's resolver has no bytes for {uri:?}: {message}")]
+    Resolver {
+        /// The URI in the glTF file.
+        uri: String,
+        /// The kind of failure.
+        kind: io::ErrorKind,
+        /// The resolver's message.
+        message: String,
+    },
     /// The path has a NUL byte in it.
     #[error("the URI has a NUL byte in it, which no file name has")]
     NulByte,
@@ -298,6 +316,18 @@ pub enum UriFault {
     /// The data URI is not valid base64; with the decoder's message.
     #[error("the data URI is not valid base64: {0}")]
     Base64(String),
+}
+
+/// The rule for external files that a URI breaks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[non_exhaustive]
+pub enum FileRule {
+    /// Only files in the glTF file's own folder are read.
+    #[error("is not in the folder of the glTF file: copy it there, or allow its folder by ImportOptions::files")]
+    OwnFolder,
+    /// Only files below given folders are read.
+    #[error("is below none of the folders that ImportOptions::files allows: add its folder there, or copy it into one")]
+    Below,
 }
 
 /// Why an accessor cannot be read. Formats are written as in the specification: "VEC3 of normalized unsigned byte".

@@ -142,7 +142,7 @@ mod tests {
 
     use glam::Vec3;
 
-    use super::super::{Buffers, ImportOptions};
+    use super::super::{Buffers, ExternalFiles, ImportOptions};
     use super::*;
     use crate::graph::{Camera, Geometry, Texture};
 
@@ -165,7 +165,9 @@ mod tests {
     #[test]
     fn whatever_fails_nothing_stays_and_the_caller_s_unused_assets_do() {
         let document = Document::parse(JSON, Path::new("file.gltf")).unwrap();
-        let buffers = Buffers::load(&document, None).unwrap();
+        let options = ImportOptions::default();
+        let files = ExternalFiles::new(document.path, &options.files);
+        let buffers = Buffers::load(&document, &files, None).unwrap();
         let bad_texture =
             |plan: &mut ImportPlan| plan.textures.push(Texture { width: 1, height: 1, texels: [].into() });
         let bad_geometry = |plan: &mut ImportPlan| plan.geometries.push(triangle(Vec3::NAN));
@@ -183,7 +185,7 @@ mod tests {
         let before = counts(&scene);
         let breaks: [Break; 3] = [("texture", bad_texture), ("geometry", bad_geometry), ("node", bad_node)];
         for (step, break_plan) in breaks {
-            let mut plan = ImportPlan::new(&document, &buffers, &ImportOptions::default(), 0).unwrap();
+            let mut plan = ImportPlan::new(&document, &buffers, &files, &options, 0).unwrap();
             assert_eq!((plan.geometries.len(), plan.materials.len(), plan.textures.len()), (1, 1, 1));
             break_plan(&mut plan);
             let root = scene.root();

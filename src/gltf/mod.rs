@@ -32,6 +32,7 @@ mod camera;
 mod container;
 mod document;
 mod fault;
+mod files;
 mod format;
 mod geometry;
 mod insert;
@@ -55,9 +56,10 @@ mod warnings;
 use std::path::Path;
 
 pub use fault::{
-    AccessorFault, BufferFault, ContainerFault, GltfFault, HierarchyFault, InstancingFault, PrimitiveFault, SkinFault,
-    TransformFault, UriFault,
+    AccessorFault, BufferFault, ContainerFault, FileRule, GltfFault, HierarchyFault, InstancingFault, PrimitiveFault,
+    SkinFault, TransformFault, UriFault,
 };
+pub use files::{FilePolicy, FileRequest, FileResolver};
 pub use report::{ImportCounts, ImportReport, ImportWarning, ImportedNode, WarningKind};
 
 use accessor::Accessors;
@@ -65,6 +67,7 @@ use budget::Budget;
 use buffers::Buffers;
 use container::Container;
 use document::Document;
+use files::ExternalFiles;
 use node_forest::NodeForest;
 use plan::ImportPlan;
 use pose::Pose;
@@ -90,6 +93,8 @@ pub struct ImportOptions {
     /// ([`WallKind::Auto`]) each geometry is judged by its shape, and the report says how, as
     /// [`WarningKind::Guess`]; `Thin` is what the extensions say to the letter.
     pub wall: WallKind,
+    /// Which external files, buffers and images, may be read. By default those in the glTF file's own folder.
+    pub files: FilePolicy,
 }
 
 impl ImportOptions {
@@ -104,6 +109,13 @@ impl ImportOptions {
     #[must_use]
     pub fn with_wall(self, wall: WallKind) -> Self {
         Self { wall, ..self }
+    }
+
+    /// The same options with another rule for external files.
+    #[must_use]
+    pub fn with_files(mut self, files: FilePolicy) -> Self {
+        self.files = files;
+        self
     }
 }
 
@@ -162,8 +174,8 @@ pub fn import_with(
     import_from_slice(&bytes, path, options, scene, parent)
 }
 
-/// As [`import_with`], from the bytes of a file. `path` is its name in messages, and its folder is where external files
-/// are looked for; it is not read itself.
+/// As [`import_with`], from the bytes of a file. `path` is its name in messages, and external files are looked for from
+/// its folder on; it is not read itself. If there is no such folder, choose [`ImportOptions::files`].
 ///
 /// # Errors
 /// As [`import_with`].
@@ -177,10 +189,11 @@ pub fn import_from_slice(
     // Split the file into its parts, check the JSON, and read the buffers.
     let container = Container::parse(bytes, path)?;
     let document = Document::parse(container.json, path)?;
-    let buffers = Buffers::load(&document, container.bin)?;
+    let files = ExternalFiles::new(path, &options.files);
+    let buffers = Buffers::load(&document, &files, container.bin)?;
     let bytes_read = bytes.len() as u64 + buffers.external_bytes;
     // Plan the whole import before the scene is changed.
-    ImportPlan::new(&document, &buffers, options, bytes_read)?.insert(&document, scene, parent)
+    ImportPlan::new(&document, &buffers, &files, options, bytes_read)?.insert(&document, scene, parent)
 }
 
 /// The error about the object of a file at a JSON pointer (RFC 6901); the empty pointer is the whole file.

@@ -13,8 +13,8 @@ use super::texture::ImageRequests;
 use super::walls::JudgedPrimitive;
 use super::warnings::Warnings;
 use super::{
-    Accessors, Budget, Buffers, Document, GltfFault, ImportCounts, ImportOptions, SceneSelector, WarningKind, camera,
-    instancing, light, walls,
+    Accessors, Budget, Buffers, Document, ExternalFiles, GltfFault, ImportCounts, ImportOptions, SceneSelector,
+    WarningKind, camera, instancing, light, walls,
 };
 use crate::Result;
 use crate::graph::{Camera, Geometry, Light, Texture, Transform, WallKind};
@@ -82,6 +82,7 @@ impl ImportPlan {
     pub(super) fn new(
         document: &Document,
         buffers: &Buffers,
+        files: &ExternalFiles,
         options: &ImportOptions,
         bytes_read: u64,
     ) -> Result<Self> {
@@ -97,7 +98,7 @@ impl ImportPlan {
             document,
             accessors: &accessors,
             primitives,
-            images: ImageRequests::default(),
+            images: ImageRequests::new(files),
             scene_from_node: document.hierarchy.scene_from_node(&document.transforms),
             budget,
             warnings,

@@ -8,7 +8,7 @@ use std::io::Cursor;
 use ::image::{ImageFormat, ImageReader, Limits};
 use rayon::prelude::*;
 
-use super::uri::{self, UriTarget};
+use super::files::{ExternalFiles, UriTarget};
 use super::warnings::Warnings;
 use super::{Buffers, Document, UriFault, WarningKind};
 use crate::Result;
@@ -26,8 +26,8 @@ const METADATA_BYTES: u64 = 16 << 20;
 const MAX_FILE_BYTES: u64 = 1 << 30;
 
 /// The images that the imported materials use, each once, in the order of their requests.
-#[derive(Default)]
 pub(super) struct ImageRequests<'d> {
+    files: &'d ExternalFiles<'d>,
     /// The index in the file of each requested image; `None` for a texture without image. [`decode`](Self::decode)
     /// returns their textures in this order.
     requested: Vec<Option<usize>>,
@@ -84,6 +84,11 @@ impl From<::image::ImageError> for ImageFault {
 }
 
 impl<'d> ImageRequests<'d> {
+    /// No requests. `files` are the external files of the document.
+    pub(super) fn new(files: &'d ExternalFiles<'d>) -> Self {
+        Self { files, requested: Vec::new(), requested_index: HashMap::new() }
+    }
+
     /// Requests the image of a glTF texture; returns the index that its texture will have.
     pub(super) fn request(&mut self, document: &'d Document, texture: usize, warnings: &mut Warnings) -> usize {
         let image = document.textures[texture].source.value();
@@ -95,7 +100,7 @@ impl<'d> ImageRequests<'d> {
                 warnings.add(document, WarningKind::Data, "texture", pointer, ImageFault::NoImage.fallback_text());
                 ImageSource::NoImage
             }
-            Some(i) => source_of(document, i),
+            Some(i) => source_of(document, self.files, i),
         };
         // Reuse the request for an equal source.
         *self.requested_index.entry(source).or_insert_with(|| {
@@ -115,7 +120,7 @@ impl<'d> ImageRequests<'d> {
         // 1. Read the encoded bytes. An embedded image outside of its buffer is an error; a missing file is not.
         let mut encoded = Vec::with_capacity(self.requested.len());
         for image in &self.requested {
-            encoded.push(image.map(|image| read(document, buffers, image)).transpose()?);
+            encoded.push(image.map(|image| read(document, buffers, self.files, image)).transpose()?);
         }
 
         // 2. Charge the decoded sizes to the budget: an image of a few kB can claim to decode to gigabytes.
@@ -146,23 +151,28 @@ impl<'d> ImageRequests<'d> {
     }
 }
 
-fn source_of<'d>(document: &'d Document, image: usize) -> ImageSource<'d> {
+fn source_of<'d>(document: &'d Document, files: &ExternalFiles, image: usize) -> ImageSource<'d> {
     let object = &document.images[image];
     match (object.buffer_view, &object.uri) {
         (Some(view), _) => ImageSource::View(view.value()),
-        (None, Some(uri)) => uri::resolve(uri, document.path).map_or(ImageSource::Unresolved(image), ImageSource::Uri),
+        (None, Some(uri)) => files.resolve(uri).map_or(ImageSource::Unresolved(image), ImageSource::Uri),
         (None, None) => ImageSource::Unresolved(image),
     }
 }
 
 /// The encoded bytes of an image. The inner error is one that a checkerboard stands in for.
-fn read<'b>(document: &Document, buffers: &'b Buffers, image: usize) -> Result<Result<Cow<'b, [u8]>, ImageFault>> {
+fn read<'b>(
+    document: &Document,
+    buffers: &'b Buffers,
+    files: &ExternalFiles,
+    image: usize,
+) -> Result<Result<Cow<'b, [u8]>, ImageFault>> {
     let image = &document.images[image];
     Ok(match (image.buffer_view, &image.uri) {
         (Some(view), _) if !buffers.has_data(document, view.value()) => Err(ImageFault::NoData),
         (Some(view), _) => Ok(Cow::Borrowed(buffers.view(document, view.value())?)),
         (None, Some(uri)) => {
-            let bytes = uri::resolve(uri, document.path).and_then(|target| target.read(MAX_FILE_BYTES));
+            let bytes = files.resolve(uri).and_then(|target| files.read(&target, MAX_FILE_BYTES));
             bytes.map(Cow::Owned).map_err(ImageFault::Uri)
         }
         (None, None) => Err(ImageFault::NoSource),

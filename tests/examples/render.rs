@@ -206,6 +206,26 @@ fn scenes_are_chosen_by_name_and_number() {
 }
 
 #[test]
+fn files_outside_of_the_folder_are_read_where_that_is_allowed() {
+    let folder = folder();
+    let mut file = two_scenes();
+    let (_, data) = file["buffers"][0]["uri"].as_str().unwrap().split_once(',').unwrap();
+    let bytes = base64::engine::general_purpose::STANDARD.decode(data).unwrap();
+    for name in ["own", "shared", "empty"] {
+        fs::create_dir(folder.path().join(name)).unwrap();
+    }
+    fs::write(folder.path().join("shared/triangle.bin"), bytes).unwrap();
+    file["buffers"][0]["uri"] = json!("../shared/triangle.bin");
+    fs::write(folder.path().join("own/scene.gltf"), file.to_string()).unwrap();
+
+    assert_refused(&folder, &["own/scene.gltf"], &["own/scene.gltf", "/buffers/0", "../shared/triangle.bin"]);
+    assert_refused(&folder, &["own/scene.gltf", "--allow-folder", "empty"], &["/buffers/0"]);
+    assert_refused(&folder, &["own/scene.gltf", "--allow-folder", "nowhere"], &["--allow-folder", "nowhere"]);
+    let allowed = ["own/scene.gltf", "--allow-folder", "shared", "--allow-folder", "empty", "-o", "a.png"];
+    assert_eq!(render_small(&folder, &allowed).files, ["a.png"]);
+}
+
+#[test]
 fn json_is_all_there_is_on_standard_output() {
     let folder = folder();
     let run = render_small(&folder, &["two.gltf", "--json"]);

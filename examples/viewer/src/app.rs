@@ -55,6 +55,8 @@ pub(crate) struct Settings {
     pub(crate) save_path: String,
     /// The path to open, as typed in.
     pub(crate) open_path: String,
+    /// Folders below which files may name buffers and images, besides their own.
+    pub(crate) allowed_folders: Vec<PathBuf>,
 }
 
 impl App {
@@ -95,7 +97,7 @@ impl App {
 
     /// Begins to load a file or, without one, the built-in scene.
     pub(crate) fn open(&mut self, path: Option<PathBuf>) {
-        self.loading = Some(Loading::begin(path));
+        self.loading = Some(Loading::begin(path, self.settings.allowed_folders.clone()));
     }
 
     /// The name of what is being loaded.

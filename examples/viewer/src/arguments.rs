@@ -27,6 +27,9 @@ pub(crate) struct Arguments {
     /// Where Ctrl+S saves: the picture as .png or .exr, the scene as .ropewalk
     #[arg(long, value_name = "FILE", default_value = "view.png")]
     pub(crate) save: String,
+    /// Another folder below which files may name buffers and images, besides their own; can be given several times
+    #[arg(long, value_name = "FOLDER", action = clap::ArgAction::Append)]
+    pub(crate) allow_folder: Vec<PathBuf>,
     /// Print what happens to standard output, as lines of JSON
     #[arg(long)]
     pub(crate) log: bool,

@@ -10,6 +10,7 @@ use winit::event::WindowEvent;
 use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop};
 use winit::window::WindowId;
 
+use crate::allowed_folders::check_folders;
 use crate::app::{App, Settings};
 use crate::arguments::Arguments;
 use crate::detail::Detail;
@@ -21,6 +22,7 @@ use crate::window::{EguiOutput, Window};
 
 /// Opens the window and runs until it is closed.
 pub(crate) fn run(arguments: Arguments) -> Result<(), String> {
+    check_folders(&arguments.allow_folder)?;
     let event_loop = EventLoop::new().map_err(|error| format!("no window can be opened: {error}"))?;
     let mut viewer = Viewer { arguments, state: None, outcome: Ok(()) };
     event_loop.run_app(&mut viewer).map_err(|error| error.to_string())?;
@@ -138,6 +140,7 @@ impl State {
             overlay: true,
             save_path: arguments.save.clone(),
             open_path: String::new(),
+            allowed_folders: arguments.allow_folder.clone(),
         };
         let mut app =
             App::new(arguments.device.into(), settings, Some(window.gpu.clone())).map_err(|error| error.to_string())?;

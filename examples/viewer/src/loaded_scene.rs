@@ -4,8 +4,10 @@
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{self, Receiver, TryRecvError};
 
-use ropewalk::{Scene, Sky, View, gltf};
+use ropewalk::gltf::{self, ImportOptions};
+use ropewalk::{Scene, Sky, View};
 
+use crate::allowed_folders::file_policy;
 use crate::builtin;
 use crate::cameras_and_lights::{add_light_if_none, cameras};
 
@@ -27,11 +29,11 @@ pub(crate) struct Loading {
 
 impl Loading {
     /// Begins to load a file or, without one, to make the built-in scene.
-    pub(crate) fn begin(path: Option<PathBuf>) -> Self {
+    pub(crate) fn begin(path: Option<PathBuf>, allowed_folders: Vec<PathBuf>) -> Self {
         let (sender, receiver) = mpsc::channel();
         let title = title(path.as_deref());
         // Sending fails if the receiver is dropped: another file has been opened meanwhile.
-        std::thread::spawn(move || drop(sender.send(LoadedScene::load(path.as_deref()))));
+        std::thread::spawn(move || drop(sender.send(LoadedScene::load(path.as_deref(), &allowed_folders))));
         Self { title, receiver }
     }
 
@@ -46,7 +48,7 @@ impl Loading {
 }
 
 impl LoadedScene {
-    pub(crate) fn load(path: Option<&Path>) -> Result<Self, String> {
+    pub(crate) fn load(path: Option<&Path>, allowed_folders: &[PathBuf]) -> Result<Self, String> {
         let mut scene = Scene::new();
         let (sky, warning_count) = match path {
             Some(path) if path.extension().is_some_and(|extension| extension == "ropewalk") => {
@@ -55,7 +57,8 @@ impl LoadedScene {
             }
             Some(path) => {
                 let root = scene.root();
-                let import = gltf::import(path, &mut scene, root).map_err(|error| error.to_string())?;
+                let options = ImportOptions::default().with_files(file_policy(path, allowed_folders));
+                let import = gltf::import_with(path, &options, &mut scene, root).map_err(|error| error.to_string())?;
                 (Sky::default(), import.warnings.len())
             }
             None => {

@@ -2,6 +2,8 @@
 //!
 //! `cargo run --release -p ropewalk-viewer -- SCENE.glb`; `--help` lists the options.
 
+#[path = "../../render/allowed_folders.rs"]
+mod allowed_folders;
 mod app;
 mod arguments;
 #[path = "../../render/builtin/mod.rs"]

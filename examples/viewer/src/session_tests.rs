@@ -36,9 +36,10 @@ impl Session {
             overlay: true,
             save_path: String::new(),
             open_path: String::new(),
+            allowed_folders: Vec::new(),
         };
         let mut app = App::new(DeviceChoice::Cpu, settings, None).unwrap();
-        app.show(LoadedScene::load(None).unwrap());
+        app.show(LoadedScene::load(None, &[]).unwrap());
         let context = egui::Context::default();
         let mut session =
             Self { app, panels: Panels::default(), context, viewport: Viewport::default(), events: Vec::new() };

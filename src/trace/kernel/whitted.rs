@@ -356,6 +356,7 @@ impl SurfaceHit {
         Turn { t, origin: offset_ray_origin(surface, direction), direction }
     }
 }
+
 /// Relative index of refraction, n of the viewer's side over n of the other (air = 1); 0 if the latter is infinite.
 fn relative_ior(surface: &Surface) -> f32 {
     if surface.is_inside || surface.ior <= 0.0 {
