@@ -4,7 +4,6 @@
 //! motion, in which a structure is refitted until its cost has grown by some factor and then built anew: how often that
 //! happens, and how many nodes and triangles rays meet, in units of a structure that is built for each frame.
 
-use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
 
@@ -17,6 +16,7 @@ use ropewalk::compile::Compiler;
 use ropewalk::device::layout::NONE;
 use ropewalk::graph::{BlasKind, Quality};
 use ropewalk::{Core, Geometry, Material, Scene, gltf};
+use ropewalk_bench::scenes::scenes_folder;
 use ropewalk_bench::{Contender, Options, Report, Target, medians, milliseconds, time};
 
 /// The factors by which the cost may grow since the last build before a rebuild.
@@ -73,7 +73,7 @@ fn twist(geometry: &Geometry, time: f32) -> Vec<Vec3> {
 }
 
 fn import(file: &str) -> ropewalk::Result<Geometry> {
-    let scenes = PathBuf::from(std::env::var_os("ROPEWALK_SCENES").unwrap_or_else(|| "../shared/scenes".into()));
+    let scenes = scenes_folder();
     let mut scene = Scene::new();
     let root = scene.root();
     gltf::import(scenes.join(format!("meshes/{file}.glb")), &mut scene, root)?;

@@ -1,7 +1,6 @@
 //! The world box of an instance: how long it takes to compute, and how much smaller it is than the box around the
 //! corners of the transformed local box.
 
-use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Parser;
@@ -9,6 +8,7 @@ use glam::{DAffine3, DQuat, DVec3};
 use ropewalk::accel::{Blas, BlasBuildParams, SupportFunction};
 use ropewalk::math::Bounds;
 use ropewalk::{Geometry, Scene, gltf};
+use ropewalk_bench::scenes::scenes_folder;
 use ropewalk_bench::{Contender, Options, Report, Target, medians, time};
 
 /// The goal for the time of a call.
@@ -17,7 +17,7 @@ const MESHES: [&str; 2] = ["stanford-bunny", "stanford-dragon"];
 
 fn main() -> ExitCode {
     let options = Options::parse();
-    let scenes = PathBuf::from(std::env::var_os("ROPEWALK_SCENES").unwrap_or_else(|| "../shared/scenes".into()));
+    let scenes = scenes_folder();
     let mut report =
         Report::new(&["mesh", "triangles", "prepare ms", "box ns", "of corners ns", "area", "area of corners"]);
     for name in MESHES {

@@ -267,14 +267,15 @@ impl Recipe {
     }
 }
 
-/// The folder of scenes: `ROPEWALK_SCENES`, or `shared/scenes` beside the checkout.
-fn folder() -> PathBuf {
+/// The folder of scenes: `ROPEWALK_SCENES` or, if that is not set or empty, `shared/scenes` beside the checkout.
+pub fn scenes_folder() -> PathBuf {
     let beside = concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/scenes");
-    PathBuf::from(std::env::var_os("ROPEWALK_SCENES").unwrap_or_else(|| beside.into()))
+    let variable = std::env::var_os("ROPEWALK_SCENES").filter(|folder| !folder.is_empty());
+    PathBuf::from(variable.unwrap_or_else(|| beside.into()))
 }
 
 fn import(file: &str, scene: &mut Scene) -> Result<()> {
-    let path = folder().join(file);
+    let path = scenes_folder().join(file);
     let root = scene.root();
     let imported = gltf::import(&path, scene, root);
     imported.map_err(|error| format!("{}: {error} (set ROPEWALK_SCENES to the folder of scenes)", path.display()))?;

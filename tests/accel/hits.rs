@@ -9,6 +9,7 @@ use ropewalk::math::Aabb;
 use ropewalk::trace::{Emulated, Tracer};
 
 use super::meshes::{STRUCTURES, adversarial, geometry, grid};
+use ropewalk_testkit::corpus::scenes;
 use ropewalk_testkit::oracle::{Verdict, candidates, fault};
 use ropewalk_testkit::{Mesh, Placed, Random, arrays};
 
@@ -174,11 +175,8 @@ fn instances_are_hit_as_f64_hits_them() {
 
 #[test]
 fn bunny() {
-    let Ok(scenes) = std::env::var("ROPEWALK_SCENES") else {
-        println!("skipped: bunny (ROPEWALK_SCENES is not set)");
-        return;
-    };
-    let mesh = Mesh::glb(&std::path::Path::new(&scenes).join("meshes/stanford-bunny.glb"));
+    let Some(scenes) = scenes("bunny") else { return };
+    let mesh = Mesh::glb(&scenes.join("meshes/stanford-bunny.glb"));
     assert_eq!(mesh.indices.len(), 69_451);
     let rays = rays_at(&mesh, &mut Random::new(1), 1000);
     for structure in STRUCTURES {

@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use ropewalk::device::DeviceArrays;
 use ropewalk::device::layout::{InstanceFlags, NONE, RayRecord};
 use ropewalk::trace::Tracer;
+use ropewalk_testkit::corpus::scenes;
 use ropewalk_testkit::oracle::{Candidate, Fault, Verdict, candidates, fault, is_sure};
 use ropewalk_testkit::{Mesh, Placed, Random, arrays, tracers};
 
@@ -203,11 +204,8 @@ fn any_hit_agrees_with_f64() {
 
 #[test]
 fn bunny() {
-    let Ok(scenes) = std::env::var("ROPEWALK_SCENES") else {
-        println!("skipped: bunny (ROPEWALK_SCENES is not set)");
-        return;
-    };
-    let mesh = Mesh::glb(&std::path::Path::new(&scenes).join("meshes/stanford-bunny.glb"));
+    let Some(scenes) = scenes("bunny") else { return };
+    let mesh = Mesh::glb(&scenes.join("meshes/stanford-bunny.glb"));
     assert_eq!(mesh.indices.len(), 69_451);
     let bounds = ropewalk::math::Aabb::from_points(mesh.positions.iter().copied());
     let radius = f64::from((bounds.max - bounds.min).length()) / 2.0;
