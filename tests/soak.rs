@@ -1,6 +1,11 @@
-//! A million random edits: memory stays bounded, and all that follows the scene agrees with it.
+//! Memory. Below: a million random edits; it stays bounded, and all that follows the scene agrees with it. `memory`:
+//! imports of files that are made to exhaust it.
 
-#![expect(clippy::unwrap_used, reason = "a panic in a test is a failure")]
+#![expect(clippy::unwrap_used, clippy::panic, reason = "a panic in a test is a failure")]
+
+mod memory;
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use glam::DVec3;
 use peak_alloc::PeakAlloc;
@@ -16,6 +21,12 @@ use ropewalk_testkit::world::{World, edit_with_geometries};
 #[global_allocator]
 static HEAP: PeakAlloc = PeakAlloc;
 
+/// Held by each test while it runs: they count the allocations of the whole program.
+fn alone() -> MutexGuard<'static, ()> {
+    static ALONE: Mutex<()> = Mutex::new(());
+    ALONE.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 const EDITS: usize = 1_000_000;
 /// From this many nodes on, subtrees are removed until half of them are left.
 const MOST_NODES: usize = 400;
@@ -25,6 +36,7 @@ const EYE: DVec3 = DVec3::new(0.0, 0.0, 10.0);
 /// far behind.
 #[test]
 fn a_million_edits_leave_nothing_behind() {
+    let _alone = alone();
     let mut runner = TestRunner::default();
     let edits = edit_with_geometries();
     let start = HEAP.current_usage();

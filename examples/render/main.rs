@@ -65,6 +65,7 @@ fn run(arguments: &Arguments) -> Result<(), String> {
         file: arguments.file.clone(),
         import: loaded.import.as_ref().map(|import| import.counts),
         warnings: loaded.import.as_ref().map(|import| import.warnings.clone()).unwrap_or_default(),
+        unlisted_warnings: loaded.import.as_ref().map(|import| import.unlisted_warnings.clone()).unwrap_or_default(),
         fallback: renderer.fallback_reason().map(str::to_owned),
         load_time,
         nodes: loaded.scene.node_count(),
@@ -113,7 +114,8 @@ fn print_report(arguments: &Arguments, report: &Report) -> Result<(), String> {
     if arguments.stats {
         print_line(&report.to_tables())?;
     } else if !report.warnings.is_empty() {
-        eprintln!("{} warnings about the file (--stats lists them)", report.warnings.len());
+        let unlisted: usize = report.unlisted_warnings.iter().map(|more| more.count).sum();
+        eprintln!("{} warnings about the file (--stats lists them)", report.warnings.len() + unlisted);
     }
     match report.frames.as_slice() {
         [first, .., last] => print_line(&format!("wrote {} to {}", first.output.display(), last.output.display())),

@@ -6,7 +6,7 @@ use std::time::Duration;
 use comfy_table::Table;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use ropewalk::FrameReport;
-use ropewalk::gltf::{ImportCounts, ImportWarning};
+use ropewalk::gltf::{ImportCounts, ImportWarning, UnlistedWarnings};
 use serde::{Serialize, Serializer};
 
 /// One run of the program. Times are in seconds.
@@ -18,6 +18,8 @@ pub(crate) struct Report {
     pub(crate) import: Option<ImportCounts>,
     /// What in the file is unsupported, only approximated, corrected or replaced.
     pub(crate) warnings: Vec<ImportWarning>,
+    /// How many more there are than are listed.
+    pub(crate) unlisted_warnings: Vec<UnlistedWarnings>,
     /// Why the CPU was used although a GPU is preferred.
     pub(crate) fallback: Option<String>,
     /// Time to read the file or make the scene.
@@ -54,6 +56,9 @@ impl Report {
         let mut text = format!("{}\n{}", self.scene_table(&first.report), phase_table(first, later));
         for warning in &self.warnings {
             text += &format!("\nwarning: {warning}");
+        }
+        for more in &self.unlisted_warnings {
+            text += &format!("\nwarning: {more}");
         }
         text
     }

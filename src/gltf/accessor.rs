@@ -54,8 +54,10 @@ impl<'a> Accessors<'a> {
     /// Checks that every accessor lies within its buffer views, and reads the sparse indices.
     /// O(accessors + sparse indices).
     pub(super) fn new(document: &Document, buffers: &'a Buffers, budget: &mut Budget) -> Result<Self> {
-        let check = |index| AccessorData::new(document, buffers, budget, index);
-        let elements = (0..document.accessors.len()).map(check).collect::<Result<_>>()?;
+        let mut elements = Vec::with_capacity(document.accessors.len());
+        for index in 0..document.accessors.len() {
+            elements.push(AccessorData::new(document, buffers, budget, index)?);
+        }
         Ok(Self { elements })
     }
 

@@ -4,7 +4,7 @@ use std::borrow::Cow;
 use std::collections::HashMap;
 
 use super::files::{ExternalFiles, UriTarget};
-use super::{BufferFault, Document};
+use super::{Budget, BufferFault, Document};
 use crate::Result;
 
 /// The bytes of every buffer, and the check that buffer views lie within them.
@@ -14,14 +14,17 @@ pub(super) struct Buffers<'a> {
     data: Vec<Option<Cow<'a, [u8]>>>,
     /// For each buffer the first one with the same URI target, which has the same data.
     canonical_buffer: Vec<usize>,
-    /// Bytes read from files other than the glTF file.
-    pub(super) external_bytes: u64,
 }
 
 impl<'a> Buffers<'a> {
-    /// Reads every buffer, each file once. `bin` is the binary chunk of a GLB file.
-    pub(super) fn load(document: &Document, files: &ExternalFiles, bin: Option<&'a [u8]>) -> Result<Self> {
-        let mut buffers = Self { data: Vec::new(), canonical_buffer: Vec::new(), external_bytes: 0 };
+    /// Reads every buffer, each file once. `bin` is the binary chunk of a GLB file. The budget grows with what is read.
+    pub(super) fn load(
+        document: &Document,
+        files: &ExternalFiles,
+        bin: Option<&'a [u8]>,
+        budget: &mut Budget,
+    ) -> Result<Self> {
+        let mut buffers = Self { data: Vec::new(), canonical_buffer: Vec::new() };
         // 1. Merge buffers with the same target, and find the length to read.
         let mut needed: HashMap<UriTarget, (usize, u64)> = HashMap::new();
         for (i, buffer) in document.buffers.iter().enumerate() {
@@ -49,7 +52,7 @@ impl<'a> Buffers<'a> {
             let data = files
                 .read(&target, length)
                 .map_err(|fault| document.error_at(format!("/buffers/{i}"), BufferFault::Uri(fault)))?;
-            buffers.external_bytes += data.len() as u64;
+            budget.add_data(data.len() as u64);
             buffers.data[i] = Some(Cow::Owned(data));
         }
 

@@ -10,7 +10,8 @@ use glam::{DAffine3, DMat3, DQuat, DVec3};
 use serde::Deserialize;
 use serde_json::{Number, Value};
 
-use super::{GltfFault, NodeForest, TransformFault, error_at, references};
+use super::json_cost::json_cost;
+use super::{Budget, GltfFault, NodeForest, TransformFault, error_at, references};
 use crate::graph::Transform;
 use crate::{Error, Result};
 
@@ -57,7 +58,11 @@ impl<'a> Document<'a> {
     /// Parses and checks the JSON text. O(size of the text).
     ///
     /// Nesting is limited to 128 levels by `serde_json`, so nothing that walks the tree can overflow the stack.
-    pub(super) fn parse(text: &[u8], path: &'a Path) -> Result<Self> {
+    pub(super) fn parse(text: &[u8], path: &'a Path, budget: &mut Budget) -> Result<Self> {
+        // Charge for all that this function makes of the text, before any of it is made.
+        if !budget.try_take(json_cost(text, budget.remaining())) {
+            return Err(error_at(path, "", budget.fault()));
+        }
         // 1. Parse the text into untyped JSON, and bring it into the form that the crate's types accept.
         let mut value: Value =
             serde_json::from_slice(text).map_err(|e| error_at(path, "", GltfFault::Json(e.to_string())))?;
@@ -111,8 +116,12 @@ fn parse_array<T: for<'de> Deserialize<'de>>(root: &Value, pointer: &str, path: 
         Some(Value::Array(elements)) => elements,
         Some(_) => return Err(error_at(path, pointer, GltfFault::NotAnArray)),
     };
-    let parse = |(i, element)| T::deserialize(element).map_err(|e| schema_error(path, format!("{pointer}/{i}"), &e));
-    elements.iter().enumerate().map(parse).collect()
+    // Collecting results would grow the vector by doubling.
+    let mut objects = Vec::with_capacity(elements.len());
+    for (i, element) in elements.iter().enumerate() {
+        objects.push(T::deserialize(element).map_err(|e| schema_error(path, format!("{pointer}/{i}"), &e))?);
+    }
+    Ok(objects)
 }
 
 fn schema_error(path: &Path, pointer: impl Into<String>, error: &serde_json::Error) -> Error {
@@ -188,11 +197,11 @@ fn check_required_extensions(root: &Value, path: &Path) -> Result<()> {
 /// a metre.
 fn transforms(root: &Value, path: &Path) -> Result<Vec<Transform>> {
     let nodes = root.get("nodes").and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
-    nodes
-        .iter()
-        .enumerate()
-        .map(|(i, node)| transform(node).map_err(|e| error_at(path, format!("/nodes/{i}"), e)))
-        .collect()
+    let mut transforms = Vec::with_capacity(nodes.len());
+    for (i, node) in nodes.iter().enumerate() {
+        transforms.push(transform(node).map_err(|e| error_at(path, format!("/nodes/{i}"), e))?);
+    }
+    Ok(transforms)
 }
 
 fn transform(node: &Value) -> Result<Transform, TransformFault> {

@@ -119,13 +119,15 @@ pub enum GltfFault {
         /// What is allowed: "above 0".
         expected: &'static str,
     },
-    /// The import would need more memory than a file of this size justifies.
+    /// The import would need more memory than a file of this size justifies, or than
+    /// [`ImportOptions::memory_limit`](super::ImportOptions::memory_limit) allows.
     #[error(
-        "the file unpacks to more than {} MiB, out of proportion to its size: it is damaged, or made to exhaust memory",
+        "the import takes more than {} MiB, more than its size justifies or ImportOptions::memory_limit allows: the \
+         file is damaged, or made to exhaust memory",
         limit_bytes >> 20
     )]
     Budget {
-        /// The memory that a file of this size may take, in bytes.
+        /// The memory that the import may take, in bytes.
         limit_bytes: u64,
     },
 }

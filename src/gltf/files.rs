@@ -142,7 +142,7 @@ pub(super) struct ExternalFiles<'a> {
 impl<'a> ExternalFiles<'a> {
     /// The external files of the glTF file at a path, as far as the policy allows.
     pub(super) fn new(gltf_path: &'a Path, policy: &'a FilePolicy) -> Self {
-        let canonical = |folder: &Path| folder.canonicalize().ok();
+        let canonical = |folder: &Path| canonicalize(folder).ok();
         let roots = match policy {
             FilePolicy::OwnFolder => canonical(folder_of(gltf_path)).into_iter().collect(),
             FilePolicy::Below(folders) => folders.iter().filter_map(|folder| canonical(folder)).collect(),
@@ -174,10 +174,10 @@ impl<'a> ExternalFiles<'a> {
         // Find the canonical path, which is the same however the file is spelled.
         let folder = folder_of(self.gltf_path);
         let path = folder.join(decoded.as_ref());
-        let canonical = match path.canonicalize() {
+        let canonical = match canonicalize(&path) {
             // A file name with a literal "%20" in it is not a valid URI, but some exporters write it.
             Err(e) if e.kind() == io::ErrorKind::NotFound && decoded != uri => {
-                folder.join(uri).canonicalize().map_err(|_| e)
+                canonicalize(&folder.join(uri)).map_err(|_| e)
             }
             result => result,
         };
@@ -223,12 +223,14 @@ impl<'a> ExternalFiles<'a> {
     }
 }
 
-/// The folder of a file; the current folder for a bare name.
+/// The folder of a file; empty for a bare name.
 fn folder_of(file: &Path) -> &Path {
-    match file.parent() {
-        Some(folder) if folder != Path::new("") => folder,
-        _ => Path::new("."),
-    }
+    file.parent().unwrap_or(Path::new(""))
+}
+
+/// The canonical path. The empty path is the current folder.
+fn canonicalize(path: &Path) -> io::Result<PathBuf> {
+    if path == Path::new("") { Path::new(".") } else { path }.canonicalize()
 }
 
 /// A path percent-decoded; one that is not UTF-8 once decoded is taken as it is written.
@@ -238,7 +240,7 @@ fn decode(uri: &str) -> Cow<'_, str> {
 
 /// The canonical path of the innermost folder on a path that exists.
 fn existing_ancestor(path: &Path) -> PathBuf {
-    path.ancestors().skip(1).find_map(|ancestor| ancestor.canonicalize().ok()).unwrap_or_default()
+    path.ancestors().skip(1).find_map(|ancestor| canonicalize(ancestor).ok()).unwrap_or_default()
 }
 
 fn io_fault(path: &Path, error: &io::Error) -> UriFault {

@@ -124,6 +124,8 @@ impl GeometrySource {
         let triangle_size = 2 * size_of::<[u32; 3]>();
         let at = || pointer.to_owned();
 
+        // The source is kept twice, in a list and in a map, with its pointer.
+        budget.charge(6, size_of::<Self>() + 64, document, at)?;
         budget.charge(index_count, size_of::<u32>(), document, at)?;
         // Triangles are held twice: as built, and as kept.
         budget.charge(self.triangle_count(accessors), triangle_size, document, at)?;

@@ -18,12 +18,18 @@
 //!
 //! # Malformed and hostile files
 //!
-//! No file makes an import panic, hang, overflow the stack, or allocate more than its size justifies: for geometry and
-//! nodes 256 times the size, and 16 MiB; for images 64 times, and 256 MiB, and up to three times that while they are
-//! decoded; for the parsed JSON at worst some hundred times its text. A file whose node tree, indices, lengths or
-//! numbers are invalid is refused: the error names the object by its JSON pointer, and the cause as a [`GltfFault`].
-//! Harmless errors are corrected and reported: a factor of 1.2 becomes 1, an image that cannot be decoded a magenta
-//! checkerboard. What is not guaranteed: that a file which imports is valid. Use the glTF validator for that.
+//! No file makes an import panic, hang, overflow the stack, or allocate more than its size justifies. All that an
+//! import makes of a file counts together: parsed JSON, nodes, geometry, images, notes, and what is added to the scene.
+//! It is at most 48 MiB (and 256 MiB more for images), and 80 times the JSON text, and 256 times all other bytes read
+//! (binary chunk, buffers, images), or [`ImportOptions::memory_limit`] if that is less. Not counted are the bytes of
+//! the files themselves, which are in memory once, and what images take while they are decoded: up to twice what is
+//! counted for them. External files are read only where [`ImportOptions::files`] allows it: by default in the file's
+//! own folder.
+//!
+//! A file whose node tree, indices, lengths or numbers are invalid is refused: the error names the object by its JSON
+//! pointer, and the cause as a [`GltfFault`]. Harmless errors are corrected and reported: a factor of 1.2 becomes 1, an
+//! image that cannot be decoded a magenta checkerboard. What is not guaranteed: that a file which imports is valid. Use
+//! the glTF validator for that.
 
 mod accessor;
 mod budget;
@@ -37,6 +43,7 @@ mod format;
 mod geometry;
 mod insert;
 mod instancing;
+mod json_cost;
 mod light;
 mod material;
 mod node_forest;
@@ -60,7 +67,7 @@ pub use fault::{
     SkinFault, TransformFault, UriFault,
 };
 pub use files::{FilePolicy, FileRequest, FileResolver};
-pub use report::{ImportCounts, ImportReport, ImportWarning, ImportedNode, WarningKind};
+pub use report::{ImportCounts, ImportReport, ImportWarning, ImportedNode, UnlistedWarnings, WarningKind};
 
 use accessor::Accessors;
 use budget::Budget;
@@ -95,6 +102,10 @@ pub struct ImportOptions {
     pub wall: WallKind,
     /// Which external files, buffers and images, may be read. By default those in the glTF file's own folder.
     pub files: FilePolicy,
+    /// The most memory that the import may take, in bytes, if that is less than the file's size justifies: see
+    /// [the module](self). An import that would need more fails with [`GltfFault::Budget`]. By default (`None`) the
+    /// file's size alone decides.
+    pub memory_limit: Option<u64>,
 }
 
 impl ImportOptions {
@@ -115,6 +126,13 @@ impl ImportOptions {
     #[must_use]
     pub fn with_files(mut self, files: FilePolicy) -> Self {
         self.files = files;
+        self
+    }
+
+    /// The same options with a limit of memory, in bytes; for `None`, the file's size alone decides.
+    #[must_use]
+    pub fn with_memory_limit(mut self, bytes: impl Into<Option<u64>>) -> Self {
+        self.memory_limit = bytes.into();
         self
     }
 }
@@ -188,12 +206,13 @@ pub fn import_from_slice(
 ) -> Result<ImportReport> {
     // Split the file into its parts, check the JSON, and read the buffers.
     let container = Container::parse(bytes, path)?;
-    let document = Document::parse(container.json, path)?;
+    let json_bytes = container.json.len() as u64;
+    let mut budget = Budget::new(json_bytes, bytes.len() as u64 - json_bytes, options.memory_limit);
+    let document = Document::parse(container.json, path, &mut budget)?;
     let files = ExternalFiles::new(path, &options.files);
-    let buffers = Buffers::load(&document, &files, container.bin)?;
-    let bytes_read = bytes.len() as u64 + buffers.external_bytes;
+    let buffers = Buffers::load(&document, &files, container.bin, &mut budget)?;
     // Plan the whole import before the scene is changed.
-    ImportPlan::new(&document, &buffers, &files, options, bytes_read)?.insert(&document, scene, parent)
+    ImportPlan::new(&document, &buffers, &files, options, budget)?.insert(&document, scene, parent)
 }
 
 /// The error about the object of a file at a JSON pointer (RFC 6901); the empty pointer is the whole file.

@@ -17,10 +17,14 @@ use super::{
     WarningKind, camera, instancing, light, walls,
 };
 use crate::Result;
-use crate::graph::{Camera, Geometry, Light, Texture, Transform, WallKind};
+use crate::graph::{Camera, Geometry, Light, Material, Texture, Transform, WallKind};
 
-/// The memory that one node takes in the scene, in bytes, roughly.
-const BYTES_PER_NODE: usize = 512;
+/// The memory that one node takes in the plan, the scene and the report, in bytes, at most.
+const BYTES_PER_NODE: usize = 1024;
+/// The memory that a shared core takes in the plan, besides the node that adds it to the scene.
+const BYTES_PER_CORE: usize = 4 * size_of::<(CoreIdentity, usize)>() + 3 * size_of::<PlannedCore>();
+/// The memory that a material takes in the plan and in the scene.
+const BYTES_PER_MATERIAL: usize = 3 * (size_of::<PlannedMaterial>() + size_of::<Material>()) + 256;
 
 /// What an import will add, in the order in which it is added.
 pub(super) struct ImportPlan {
@@ -84,10 +88,9 @@ impl ImportPlan {
         buffers: &Buffers,
         files: &ExternalFiles,
         options: &ImportOptions,
-        bytes_read: u64,
+        mut budget: Budget,
     ) -> Result<Self> {
         // 1. Check accessors and primitives, whether or not they are imported.
-        let mut budget = Budget::new(bytes_read);
         let mut warnings = Warnings::of(document);
         let accessors = Accessors::new(document, buffers, &mut budget)?;
         let primitives = PrimitiveRequests::new(document, buffers, &accessors, &mut warnings)?;
@@ -112,6 +115,7 @@ impl ImportPlan {
             mesh_triangles: HashMap::new(),
             counts: ImportCounts::default(),
         };
+        planner.warnings.charge(document, &mut planner.budget)?;
         planner.plan_nodes(scene)?;
 
         // 3. Build the requested geometries and decode the requested images.
@@ -129,8 +133,9 @@ impl ImportPlan {
             ..
         } = planner;
         let geometries = primitives.build(document, &accessors, &mut budget)?;
-        let textures = images.decode(document, buffers, bytes_read, &mut warnings)?;
+        let textures = images.decode(document, buffers, &mut budget, &mut warnings)?;
         walls::report(document, &geometries, &walls_to_judge, &mut warnings);
+        warnings.charge(document, &mut budget)?;
 
         // 4. Count, and name the root node.
         counts.mesh_triangles = mesh_triangles.values().sum();
@@ -294,7 +299,7 @@ impl Planner<'_, '_> {
         if self.materials[material].is_judged_by_geometry() {
             self.walls_to_judge.push(JudgedPrimitive { mesh, primitive, geometry });
         }
-        Ok(self.add_core(identity, PlannedCore::Geometry { geometry, material }))
+        self.add_core(identity, PlannedCore::Geometry { geometry, material })
     }
 
     /// Plans a material of the file, or the default material, once; returns its index in `materials`.
@@ -309,6 +314,7 @@ impl Planner<'_, '_> {
                 MaterialConverter { document: self.document, images, warnings, wall: self.wall }.convert(index)?
             }
         };
+        self.budget.charge(1, BYTES_PER_MATERIAL, self.document, || "/materials".to_owned())?;
         self.materials.push(material);
         self.material_indices.insert(index, self.materials.len() - 1);
         Ok(self.materials.len() - 1)
@@ -341,7 +347,7 @@ impl Planner<'_, '_> {
             Some(&core) => core,
             None => match camera::convert(self.document, camera, &mut self.warnings)? {
                 None => return Ok(()),
-                Some(value) => self.add_core(identity, PlannedCore::Camera(value, camera)),
+                Some(value) => self.add_core(identity, PlannedCore::Camera(value, camera))?,
             },
         };
         let name = self.document.cameras[camera].name.as_deref().unwrap_or_default();
@@ -355,7 +361,7 @@ impl Planner<'_, '_> {
             Some(&core) => core,
             None => match light::convert(self.document, light, &mut self.warnings)? {
                 None => return Ok(()),
-                Some(value) => self.add_core(identity, PlannedCore::Light(value, light)),
+                Some(value) => self.add_core(identity, PlannedCore::Light(value, light))?,
             },
         };
         let name = self.document.lights[light].name.as_deref().unwrap_or_default();
@@ -363,15 +369,17 @@ impl Planner<'_, '_> {
     }
 
     /// Adds a shared core to the plan; returns its index in `cores`.
-    fn add_core(&mut self, identity: CoreIdentity, core: PlannedCore) -> usize {
+    fn add_core(&mut self, identity: CoreIdentity, core: PlannedCore) -> Result<usize> {
+        self.budget.charge(1, BYTES_PER_CORE, self.document, String::new)?;
         self.cores.push(core);
         self.core_indices.insert(identity, self.cores.len() - 1);
-        self.cores.len() - 1
+        Ok(self.cores.len() - 1)
     }
 
     /// Adds a node to the plan, on behalf of a node of the file; returns its index in `nodes`.
     fn add_node(&mut self, node: usize, parent: Option<usize>, name: &str, content: NodeContent) -> Result<usize> {
-        self.budget.charge(1, BYTES_PER_NODE + name.len(), self.document, || format!("/nodes/{node}"))?;
+        // The name is in the plan, in the scene and in the report.
+        self.budget.charge(1, BYTES_PER_NODE + 3 * name.len(), self.document, || format!("/nodes/{node}"))?;
         self.nodes.push(PlannedNode { parent, name: name.into(), content, visible: true, file_node: None });
         Ok(self.nodes.len() - 1)
     }

@@ -27,8 +27,10 @@ pub struct ImportReport {
     /// How much was imported.
     pub counts: ImportCounts,
     /// Extensions and features of the file that are unsupported or only approximated, and values and data that were
-    /// corrected or replaced.
+    /// corrected or replaced: the first thousand of each kind and feature, and at most ten thousand.
     pub warnings: Vec<ImportWarning>,
+    /// How many more warnings there were than are listed, by kind and feature. Empty for nearly every file.
+    pub unlisted_warnings: Vec<UnlistedWarnings>,
     /// The first node of each name.
     pub(super) names: BTreeMap<String, NodeKey>,
 }
@@ -104,6 +106,18 @@ pub struct ImportWarning {
     pub fallback: String,
 }
 
+/// Warnings that are only counted, since there were so many of their kind.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[non_exhaustive]
+pub struct UnlistedWarnings {
+    /// Their kind.
+    pub kind: WarningKind,
+    /// Their feature, as in [`ImportWarning::feature`]; empty for those of various features.
+    pub feature: String,
+    /// How many there are.
+    pub count: usize,
+}
+
 /// What an [`ImportWarning`] is about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
 #[non_exhaustive]
@@ -118,6 +132,13 @@ pub enum WarningKind {
     Data,
     /// Something that the file does not say, and what was taken for it.
     Guess,
+}
+
+impl fmt::Display for UnlistedWarnings {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let feature = if self.feature.is_empty() { "various features" } else { &self.feature };
+        write!(f, "{} more: {feature}", self.count)
+    }
 }
 
 impl fmt::Display for ImportWarning {

@@ -10,16 +10,15 @@ use rayon::prelude::*;
 
 use super::files::{ExternalFiles, UriTarget};
 use super::warnings::Warnings;
-use super::{Buffers, Document, UriFault, WarningKind};
+use super::{Budget, Buffers, Document, UriFault, WarningKind};
 use crate::Result;
 use crate::graph::Texture;
 
 /// The largest width and height that are decoded, in texels.
 const MAX_SIDE: u32 = 1 << 14;
-/// Texel memory allowed for any file, in bytes, as RGBA8.
-const BASE_TEXEL_BYTES: u64 = 256 << 20;
-/// Additional texel memory for each byte read: PNG compresses an 8192 x 8192 image of one colour to a few hundred kB.
-const MAX_TEXEL_EXPANSION: u64 = 64;
+/// What an image takes besides its texels, in bytes: the request, its source, the texture, and the checkerboard if that
+/// stands in for it.
+const BYTES_PER_IMAGE: usize = 2048;
 /// Memory that the decoder may take for metadata, in bytes: a colour profile has some kB, seldom a few MB.
 const METADATA_BYTES: u64 = 16 << 20;
 /// The largest image file that is read, in bytes.
@@ -109,14 +108,16 @@ impl<'d> ImageRequests<'d> {
         })
     }
 
-    /// Reads all requested images, and decodes them on all cores. `bytes_read` is the size of the file and its buffers.
+    /// Reads all requested images, and decodes them on all cores.
     pub(super) fn decode(
         self,
         document: &Document,
         buffers: &Buffers,
-        bytes_read: u64,
+        budget: &mut Budget,
         warnings: &mut Warnings,
     ) -> Result<Vec<Texture>> {
+        let at = || "/images".to_owned();
+        budget.charge(self.requested.len(), BYTES_PER_IMAGE, document, at)?;
         // 1. Read the encoded bytes. An embedded image outside of its buffer is an error; a missing file is not.
         let mut encoded = Vec::with_capacity(self.requested.len());
         for image in &self.requested {
@@ -124,10 +125,11 @@ impl<'d> ImageRequests<'d> {
         }
 
         // 2. Charge the decoded sizes to the budget: an image of a few kB can claim to decode to gigabytes.
-        let external: usize = encoded.iter().flatten().flatten().map(|bytes| bytes.len()).sum();
-        let mut budget = BASE_TEXEL_BYTES + MAX_TEXEL_EXPANSION.saturating_mul(bytes_read + external as u64);
+        let is_external = |bytes: &&Cow<[u8]>| matches!(bytes, Cow::Owned(_));
+        let external: usize = encoded.iter().flatten().flatten().filter(is_external).map(|bytes| bytes.len()).sum();
+        budget.add_data(external as u64);
         for bytes in encoded.iter_mut().flatten() {
-            if let Err(fault) = bytes.as_deref().map_err(Clone::clone).and_then(|b| charge_texels(b, &mut budget)) {
+            if let Err(fault) = bytes.as_deref().map_err(Clone::clone).and_then(|b| charge_texels(b, budget)) {
                 *bytes = Err(fault);
             }
         }
@@ -180,14 +182,13 @@ fn read<'b>(
 }
 
 /// Takes the texels of an image from the budget, in bytes, by the size in its header.
-fn charge_texels(bytes: &[u8], budget: &mut u64) -> Result<(), ImageFault> {
+fn charge_texels(bytes: &[u8], budget: &mut Budget) -> Result<(), ImageFault> {
     let (width, height) = reader(bytes, METADATA_BYTES)?.into_dimensions()?;
     if width > MAX_SIDE || height > MAX_SIDE {
         return Err(ImageFault::TooLarge { width, height });
     }
     let size = u64::from(width) * u64::from(height) * size_of::<[u8; 4]>() as u64;
-    *budget = budget.checked_sub(size).ok_or(ImageFault::Budget { width, height })?;
-    Ok(())
+    if budget.try_take_texels(size) { Ok(()) } else { Err(ImageFault::Budget { width, height }) }
 }
 
 /// Decodes an image to RGBA8. Peak memory: up to three times the result, since an image of 16 bits a channel is held

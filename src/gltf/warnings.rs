@@ -1,6 +1,6 @@
 //! Import warnings, and the detection of those that can be found from the JSON alone.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashMap};
 
 use ::gltf::json;
 use json::texture::{MagFilter, MinFilter};
@@ -8,13 +8,25 @@ use json::validation::Checked::Valid;
 use serde_json::Value;
 
 use super::document::EXTENSIONS;
-use super::report::ImportWarning;
-use super::{Document, WarningKind};
+use super::report::{ImportWarning, UnlistedWarnings};
+use super::{Budget, Document, WarningKind};
+use crate::Result;
+
+/// The most warnings of one kind and feature that are listed. Further ones are counted.
+const MAX_LISTED_OF_FEATURE: usize = 1000;
+/// The most warnings that are listed.
+const MAX_LISTED: usize = 10_000;
+/// What a warning takes besides its texts: itself, its place in a list and in a map that grow, and their allocations.
+const BYTES_PER_WARNING: usize = 512;
 
 /// The warnings of an import, in the order in which they were found.
 #[derive(Default)]
 pub(super) struct Warnings {
     pub(super) list: Vec<ImportWarning>,
+    /// For each kind and feature, how many warnings are listed and how many are not.
+    counts: HashMap<(WarningKind, String), (usize, usize)>,
+    /// The number of listed warnings that the budget was charged for.
+    charged: usize,
 }
 
 impl Warnings {
@@ -59,12 +71,48 @@ impl Warnings {
         pointer: impl Into<String>,
         fallback: impl Into<String>,
     ) {
-        let pointer = pointer.into();
+        let (feature, pointer) = (feature.into(), pointer.into());
+        if !self.count(kind, &feature) {
+            return;
+        }
         // The name is that of the object in a top-level array, also where the pointer leads to a part of it.
         let owner = pointer.match_indices('/').nth(2).map_or(&pointer[..], |(end, _)| &pointer[..end]);
         let name = document.value.pointer(owner).and_then(|o| o.get("name")).and_then(Value::as_str);
         let name = shorten(name.unwrap_or_default());
-        self.list.push(ImportWarning { kind, feature: feature.into(), pointer, name, fallback: fallback.into() });
+        self.list.push(ImportWarning { kind, feature, pointer, name, fallback: fallback.into() });
+    }
+
+    /// Counts a warning; returns whether it is to be listed. A file of a few MB can give cause for millions.
+    fn count(&mut self, kind: WarningKind, feature: &str) -> bool {
+        let is_full = self.list.len() >= MAX_LISTED;
+        let mut key = (kind, feature.to_owned());
+        // The features themselves could be millions.
+        if is_full && !self.counts.contains_key(&key) {
+            key.1.clear();
+        }
+        let (listed, unlisted) = self.counts.entry(key).or_default();
+        let lists = !is_full && *listed < MAX_LISTED_OF_FEATURE;
+        *(if lists { listed } else { unlisted }) += 1;
+        lists
+    }
+
+    /// How many warnings were not listed, sorted by feature.
+    pub(super) fn unlisted(&self) -> Vec<UnlistedWarnings> {
+        let unlisted = self.counts.iter().filter(|(_, (_, unlisted))| *unlisted > 0);
+        let mut unlisted: Vec<_> = unlisted
+            .map(|((kind, feature), &(_, count))| UnlistedWarnings { kind: *kind, feature: feature.clone(), count })
+            .collect();
+        unlisted.sort_by(|a, b| (&a.feature, a.kind as u8).cmp(&(&b.feature, b.kind as u8)));
+        unlisted
+    }
+
+    /// Charges for the warnings that were listed since the last call.
+    pub(super) fn charge(&mut self, document: &Document, budget: &mut Budget) -> Result<()> {
+        let new = &self.list[self.charged..];
+        let texts = |w: &ImportWarning| 2 * w.feature.len() + w.pointer.len() + w.name.len() + w.fallback.len();
+        let bytes = new.iter().map(texts).sum::<usize>() + BYTES_PER_WARNING * new.len();
+        self.charged = self.list.len();
+        budget.charge(1, bytes, document, String::new)
     }
 
     fn add_extension(&mut self, document: &Document, name: &str, pointer: &str) {

@@ -1,7 +1,7 @@
 //! Files made to exhaust memory, time or the stack: each would if its counts were taken on trust.
 
 use ropewalk::Error;
-use ropewalk::gltf::{AccessorFault, BufferFault, GltfFault};
+use ropewalk::gltf::{AccessorFault, BufferFault, GltfFault, ImportOptions, WarningKind};
 use serde_json::{Value, json};
 
 use super::fixture::*;
@@ -153,4 +153,35 @@ fn small_files_that_multiply() {
     fixture.json["meshes"] = json!([{ "primitives": primitives }]);
     fixture.json["nodes"] = json!([]);
     assert!(fixture.exceeds_budget());
+}
+
+/// A million notes would take more memory than the file: of each kind a thousand are listed, the others counted.
+#[test]
+fn notes_beyond_a_thousand_of_a_kind_are_counted() {
+    let mut fixture = Fixture::new();
+    fixture.json["animations"] = vec![json!({}); 3_000].into();
+    let report = fixture.import().report;
+    assert_eq!(report.warnings.len(), 1_000);
+    assert_eq!(report.warnings[999].pointer, "/animations/999");
+    let [more] = report.unlisted_warnings.as_slice() else { panic!("{:?}", report.unlisted_warnings) };
+    assert_eq!((more.kind, &*more.feature, more.count), (WarningKind::Feature, "animation", 2_000));
+    assert_eq!(more.to_string(), "2000 more: animation");
+
+    // Each note is about another feature.
+    let names = (0..12_000).map(|i| (format!("EXT_{i}"), json!({}))).collect::<serde_json::Map<_, _>>();
+    let mut fixture = Fixture::new();
+    fixture.json["nodes"] = json!([{ "extensions": names }]);
+    let report = fixture.import().report;
+    assert_eq!(report.warnings.len(), 10_000);
+    let [more] = report.unlisted_warnings.as_slice() else { panic!("{:?}", report.unlisted_warnings) };
+    assert_eq!((more.kind, &*more.feature, more.count), (WarningKind::Extension, "", 2_000));
+}
+
+#[test]
+fn an_application_can_allow_less_memory_than_the_file_justifies() {
+    let fixture = Fixture::triangle();
+    let import = |limit| fixture.try_import_with(&ImportOptions::default().with_memory_limit(limit)).err();
+    assert!(import(1 << 20).is_none());
+    let Some(Error::Gltf { cause, .. }) = import(1 << 10) else { panic!("imports in 1 KiB") };
+    assert_eq!(cause, GltfFault::Budget { limit_bytes: 1 << 10 });
 }
