@@ -16,9 +16,9 @@ fi
 
 cargo test --locked --quiet --doc
 if cargo nextest --version >/dev/null 2>&1; then
-    cargo nextest run --locked --no-fail-fast -p ropewalk -p ropewalk-testkit
+    cargo nextest run --locked --no-fail-fast -p ropewalk -p ropewalk-fuzz -p ropewalk-testkit
 else
-    cargo test --locked --no-fail-fast -p ropewalk -p ropewalk-testkit --lib --bins --tests --examples
+    cargo test --locked --no-fail-fast -p ropewalk -p ropewalk-fuzz -p ropewalk-testkit --lib --bins --tests --examples
 fi
 
 # The viewer is tested in a window. Where there is no X server without a monitor, one is installed first.

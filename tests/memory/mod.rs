@@ -8,9 +8,9 @@ use ropewalk::{Error, Scene};
 use super::{HEAP, alone};
 
 /// What is allocated apart from the files' content: for thread pools, messages, buffers of fixed size.
-const SLACK: usize = 1 << 20;
+const SLACK: usize = 1 << 18;
 /// Objects in a file that is made of one kind.
-const COUNT: usize = 20_000;
+const COUNT: usize = 5_000;
 
 /// `count` copies of a JSON value, or of what becomes of it with `$` for the number of the copy, as an array.
 fn array(count: usize, element: &str) -> String {
