@@ -150,6 +150,10 @@ pub enum Error {
         /// The extension's name.
         extension: String,
     },
+    /// The call was stopped by its [`Cancel`](crate::Cancel) token. The scene is as it was, and the call can be made
+    /// again, with another token.
+    #[error("the call was cancelled")]
+    Cancelled,
     /// There is no usable GPU.
     #[error("no usable GPU: {reason}")]
     NoGpu {

@@ -41,6 +41,7 @@
 
 pub mod accel;
 mod atomic_file;
+mod cancel;
 pub mod compile;
 pub mod device;
 pub mod error;
@@ -54,6 +55,7 @@ pub mod query;
 pub mod render;
 pub mod trace;
 
+pub use cancel::Cancel;
 pub use error::{Error, Result};
 /// The vectors, quaternions and matrices of this interface.
 pub use glam;

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 use ropewalk::gltf::{self, ImportOptions, ImportReport, SceneSelector};
-use ropewalk::{NodeKey, Scene, Sky, View};
+use ropewalk::{Cancel, NodeKey, Scene, Sky, View};
 
 use crate::allowed_folders::file_policy;
 use crate::arguments::Arguments;
@@ -24,10 +24,10 @@ pub(crate) struct LoadedScene {
 
 impl LoadedScene {
     /// Loads the requested file, or makes the built-in scene.
-    pub(crate) fn load(arguments: &Arguments) -> Result<Self, String> {
+    pub(crate) fn load(arguments: &Arguments, cancel: &Cancel) -> Result<Self, String> {
         let mut scene = Scene::new();
         let (import, sky) = match &arguments.file {
-            Some(file) => (Some(import(file, arguments, &mut scene)?), Sky::default()),
+            Some(file) => (Some(import(file, arguments, cancel, &mut scene)?), Sky::default()),
             None => {
                 builtin::build(&mut scene).map_err(|error| format!("the built-in scene: {error}"))?;
                 (None, builtin::sky())
@@ -55,7 +55,7 @@ impl LoadedScene {
     }
 }
 
-fn import(file: &Path, arguments: &Arguments, scene: &mut Scene) -> Result<ImportReport, String> {
+fn import(file: &Path, arguments: &Arguments, cancel: &Cancel, scene: &mut Scene) -> Result<ImportReport, String> {
     let selector = |requested: &String| match requested.parse() {
         Ok(index) => SceneSelector::Index(index),
         Err(_) => SceneSelector::Name(requested.clone()),
@@ -63,7 +63,8 @@ fn import(file: &Path, arguments: &Arguments, scene: &mut Scene) -> Result<Impor
     let options = ImportOptions::default()
         .with_scene(arguments.scene.as_ref().map(selector))
         .with_wall(arguments.wall.into())
-        .with_files(file_policy(file, &arguments.allow_folder));
+        .with_files(file_policy(file, &arguments.allow_folder))
+        .with_cancel(cancel.clone());
     let root = scene.root();
     gltf::import_with(file, &options, scene, root).map_err(|error| error.to_string())
 }

@@ -1,12 +1,14 @@
 //! Renders a glTF file, or a scene made in code, to an image.
 //!
 //! `cargo run --release --example render` writes `out.png`; `-- --help` lists the options. Uses a GPU if there is one.
-//! A failure prints one line to standard error, ends with exit code 2, and leaves no file behind.
+//! A failure prints one line to standard error, ends with exit code 2, and leaves no file behind. So does Ctrl+C, with
+//! exit code 130; the images that are complete stay.
 
 mod allowed_folders;
 mod arguments;
 mod builtin;
 mod cameras_and_lights;
+mod interrupt;
 mod loaded_scene;
 mod progress;
 mod report;
@@ -15,7 +17,7 @@ use std::io::Write as _;
 use std::process::ExitCode;
 use std::time::Instant;
 
-use ropewalk::{Renderer, RendererOptions};
+use ropewalk::{Cancel, Renderer, RendererOptions};
 
 use arguments::Arguments;
 use loaded_scene::LoadedScene;
@@ -28,8 +30,16 @@ fn main() -> ExitCode {
         Ok(None) => return ExitCode::SUCCESS,
         Err(message) => return fail(&message),
     };
-    match run(&arguments) {
+    let cancel = match interrupt::cancel_on_interrupt(&arguments.output) {
+        Ok(cancel) => cancel,
+        Err(message) => return fail(&message),
+    };
+    match run(&arguments, &cancel) {
         Ok(()) => ExitCode::SUCCESS,
+        Err(_) if cancel.is_cancelled() => {
+            eprintln!("interrupted");
+            ExitCode::from(interrupt::INTERRUPTED)
+        }
         Err(message) => fail(&message),
     }
 }
@@ -44,18 +54,19 @@ fn one_line(text: &str) -> String {
     text.lines().map(str::trim).collect::<Vec<_>>().join(" ")
 }
 
-fn run(arguments: &Arguments) -> Result<(), String> {
+fn run(arguments: &Arguments, cancel: &Cancel) -> Result<(), String> {
     // 1. Load the scene.
     let start = Instant::now();
     let mut loaded = {
         let _progress = Progress::spinner("loading");
-        LoadedScene::load(arguments)?
+        LoadedScene::load(arguments, cancel)?
     };
     let load_time = start.elapsed();
 
     // 2. Open the renderer.
     let options = RendererOptions::default().with_device(arguments.device.into());
     let mut renderer = Renderer::new(&options).map_err(|error| error.to_string())?;
+    renderer.set_cancel(cancel.clone());
     if let Some(reason) = renderer.fallback_reason() {
         eprintln!("rendering on the CPU: {}", one_line(reason));
     }

@@ -5,8 +5,6 @@ use crate::graph::{Change, Core, GeometryKey, MaterialKey, NodeKey, ObjectKey, S
 /// The changes of a scene, sorted by the compile step that handles them.
 #[derive(Debug, Default)]
 pub(super) struct SceneChanges {
-    /// The compiler has not seen this scene yet: everything must be compiled.
-    pub(super) is_new_scene: bool,
     /// Something changed that can affect the image (names cannot).
     pub(super) affects_image: bool,
     /// Nodes whose transform changed: the world matrices of their subtrees are stale.

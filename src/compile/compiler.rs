@@ -17,11 +17,11 @@ use super::report::CompileReport;
 use super::users::Users;
 use super::view_dependent::ViewDependentState;
 use super::viewpoint::Viewpoint;
-use crate::Result;
 use crate::accel::TlasUpdate;
 use crate::device::{DeviceArrays, Needs};
 use crate::graph::{ChangeCursor, Changes, Core, GeometryKey, Hierarchy, MaterialKey, NodePath, Scene, SceneId};
 use crate::math::{Aabb, Bounds};
+use crate::{Cancel, Error, Result};
 
 /// Compiles a scene into [`DeviceArrays`], incrementally after each edit; a different scene is compiled from nothing.
 ///
@@ -50,6 +50,9 @@ pub struct Compiler {
     report_if_unchanged: CompileReport,
     /// How many times this scene has been compiled.
     compile_count: u64,
+    /// Whether the last compile was cancelled: what it has read from the log is marked in the tables, but not written.
+    is_unfinished: bool,
+    cancel: Cancel,
 }
 
 /// How far a hierarchy has been read: its generation, and how many entries it had, and how many of them were removed.
@@ -97,7 +100,14 @@ impl Compiler {
             origin: DVec3::ZERO,
             report_if_unchanged: CompileReport::default(),
             compile_count: 0,
+            is_unfinished: false,
+            cancel: Cancel::default(),
         }
+    }
+
+    /// Sets the token that stops [`compile`](Self::compile) from now on; `None`, the default, for none.
+    pub fn set_cancel(&mut self, cancel: impl Into<Option<Cancel>>) {
+        self.cancel = cancel.into().unwrap_or_default();
     }
 
     /// Brings the arrays up to date with `scene` as seen from a viewpoint (an eye position converts to one).
@@ -109,12 +119,15 @@ impl Compiler {
     /// # Errors
     /// [`Error::Limit`](crate::Error::Limit) if an array would exceed what its indices can address, or nested instances
     /// expand to too many. The compiler then forgets the scene, and the next call compiles from nothing.
+    /// [`Error::Cancelled`](crate::Error::Cancelled) if the [token](Self::set_cancel) stopped it. The arrays are then
+    /// between two states and must not be traced, and the next call goes on where this one has stopped.
     pub fn compile(&mut self, scene: &mut Scene, viewpoint: impl Into<Viewpoint>) -> Result<CompileReport> {
         let viewpoint = viewpoint.into();
         let result = self.try_compile(scene, &viewpoint);
         match result {
             Ok(_) => self.last_viewpoint = Some((scene.id(), viewpoint)),
-            Err(_) => *self = Self::new(),
+            Err(Error::Cancelled) => {}
+            Err(_) => *self = Self { cancel: std::mem::take(&mut self.cancel), ..Self::new() },
         }
         result
     }
@@ -158,24 +171,31 @@ impl Compiler {
     }
 
     fn try_compile(&mut self, scene: &mut Scene, viewpoint: &Viewpoint) -> Result<CompileReport> {
+        self.cancel.check()?;
         let start = Instant::now();
         let mut report = self.report_if_unchanged.clone();
         let changes = self.read_changes(scene);
         self.compile_count += 1;
-        if changes.is_new_scene {
+        if self.last_viewpoint.is_none() {
+            // No compile of this scene has been finished: nothing is relative to another origin yet.
             self.origin = on_grid(viewpoint.eye, f64::INFINITY);
-        } else if !changes.affects_image && self.view.is_current(viewpoint) && !self.must_rebase(viewpoint.eye) {
+        } else if !self.is_unfinished
+            && !changes.affects_image
+            && self.view.is_current(viewpoint)
+            && !self.must_rebase(viewpoint.eye)
+        {
             report.update_time = start.elapsed();
             return Ok(report);
         }
 
         let (scene, hierarchy) = scene.with_hierarchy()?;
+        let resumes = std::mem::replace(&mut self.is_unfinished, true);
         // 1. Classify changed hierarchy entries as instances or lights.
         self.update_entries(scene, hierarchy, &changes)?;
         // 2. Choose levels of detail and orient billboards for the viewpoint.
         self.update_view(scene, hierarchy, viewpoint)?;
         // 3. Update the geometries and materials in use.
-        self.update_assets(scene, &changes, &mut report)?;
+        self.update_assets(scene, &changes, resumes, &mut report)?;
         // 4. Write instance and light records relative to the render origin; again if the origin moves to the eye.
         self.write_records(scene, hierarchy, &mut report)?;
         if self.must_rebase(viewpoint.eye) {
@@ -186,6 +206,7 @@ impl Compiler {
             report.rebased = true;
         }
 
+        self.is_unfinished = false;
         self.fill_totals(&mut report);
         self.report_if_unchanged = report.as_unchanged();
         report.update_time = start.elapsed().saturating_sub(report.blas_time + report.tlas_time);
@@ -197,8 +218,9 @@ impl Compiler {
         match scene.changes_since(&mut self.cursor) {
             Changes::Everything => {
                 // Keys of different scenes may coincide: nothing of the old scene may stay.
-                *self = Self { cursor: std::mem::take(&mut self.cursor), ..Self::new() };
-                SceneChanges { is_new_scene: true, ..SceneChanges::default() }
+                let (cursor, cancel) = (std::mem::take(&mut self.cursor), std::mem::take(&mut self.cancel));
+                *self = Self { cursor, cancel, ..Self::new() };
+                SceneChanges::default()
             }
             Changes::Since(changes) => SceneChanges::new(scene, changes),
         }
@@ -298,8 +320,15 @@ impl Compiler {
     }
 
     /// Frees geometries and materials that are no longer used, and builds or stores those that are newly used or
-    /// changed. The records of their instances become stale.
-    fn update_assets(&mut self, scene: &Scene, changes: &SceneChanges, report: &mut CompileReport) -> Result<()> {
+    /// changed. The records of their instances become stale. `resumes`: whether a cancelled compile has left geometries
+    /// to be updated.
+    fn update_assets(
+        &mut self,
+        scene: &Scene,
+        changes: &SceneChanges,
+        resumes: bool,
+        report: &mut CompileReport,
+    ) -> Result<()> {
         // 1. Materials and textures.
         if self.users.materials.take_keys_changed() || changes.textures || !changes.materials.is_empty() {
             let stored = self.materials.update(scene, &self.users.materials, &mut self.arrays)?;
@@ -307,9 +336,10 @@ impl Compiler {
             users.for_each(|&slot| self.instances.mark_slot(slot));
         }
         // 2. Geometries.
-        if self.users.geometries.take_keys_changed() || !changes.geometries.is_empty() {
+        if self.users.geometries.take_keys_changed() || !changes.geometries.is_empty() || resumes {
             let start = Instant::now();
-            let update = self.geometries.update(scene, &self.users.geometries, self.compile_count, &mut self.arrays)?;
+            let used = &self.users.geometries;
+            let update = self.geometries.update(scene, used, self.compile_count, &mut self.arrays, &self.cancel)?;
             let users = update.changed.iter().flat_map(|&key| self.users.geometries.slots(key));
             users.for_each(|&slot| self.instances.mark_slot(slot));
             (report.blas_built, report.blas_built_triangles) = (update.built.structures, update.built.triangles);

@@ -12,15 +12,17 @@ use super::deformation::{
 };
 use super::users::SlotsByKey;
 use super::vertex_streams::{StreamRanges, VertexStreamTable};
-use crate::Result;
 use crate::accel::{Blas, BlasBuildParams, RefitReport, SupportFunction, refit};
 use crate::device::DeviceArrays;
 use crate::graph::{BlasKind, Enclosure, Geometry, GeometryKey, Scene};
+use crate::{Cancel, Result};
 
 /// The bottom-level structures and vertex streams on the device, by geometry key.
 #[derive(Debug)]
 pub(super) struct GeometryTable {
     entries: SecondaryMap<GeometryKey, GeometryEntry>,
+    /// The structures that an update had built when it was cancelled, for the next one; empty after any other.
+    finished_builds: SecondaryMap<GeometryKey, FinishedBuild>,
     /// Triangles of all entries.
     triangle_count: usize,
     nodes: BufferAllocator,
@@ -32,8 +34,11 @@ pub(super) struct GeometryTable {
 /// The state of one geometry: what was written for it, and where.
 #[derive(Debug)]
 pub(super) struct GeometryEntry {
-    /// The scene's version of the geometry that the entry was last updated for.
+    /// The scene's version of the geometry that the entry was last updated for, or is to be updated for.
     version: u64,
+    /// What must be done before the entry is that of `version`: `None` but during an update, and after one that was
+    /// cancelled.
+    pending: Option<BlasAction>,
     history: ChangeHistory,
     /// The structure that was built.
     structure: BlasKind,
@@ -93,6 +98,16 @@ impl BlasTotals {
     }
 }
 
+/// A structure that was built and not yet written to the device arrays.
+#[derive(Debug)]
+struct FinishedBuild {
+    /// The version of the geometry that it was built for.
+    version: u64,
+    structure: BlasKind,
+    support: SupportFunction,
+    blas: Blas,
+}
+
 /// A geometry to refit or build: its key and its current value.
 type GeometryJob<'a> = (GeometryKey, &'a Geometry);
 
@@ -100,6 +115,7 @@ impl GeometryTable {
     pub(super) fn new() -> Self {
         Self {
             entries: SecondaryMap::new(),
+            finished_builds: SecondaryMap::new(),
             triangle_count: 0,
             nodes: BufferAllocator::new("the bottom-level nodes array"),
             wide_nodes: BufferAllocator::new("the wide nodes array"),
@@ -110,13 +126,18 @@ impl GeometryTable {
 
     /// Makes the table hold exactly the geometries in `used`: frees the others, refits those that deformed, and builds
     /// those that are missing or changed otherwise, in parallel. `compile_index` is the number of this compile.
+    ///
+    /// After [`Error::Cancelled`](crate::Error::Cancelled) the next update does what is left; the device arrays must
+    /// not be used before that. It reports all that either of the two has changed.
     pub(super) fn update(
         &mut self,
         scene: &Scene,
         used: &SlotsByKey<GeometryKey>,
         compile_index: u64,
         arrays: &mut DeviceArrays,
+        cancel: &Cancel,
     ) -> Result<GeometryUpdate> {
+        cancel.check()?;
         let mut update = GeometryUpdate::default();
         // 1. Free the geometries that no instance uses.
         let unused: Vec<GeometryKey> = self.entries.keys().filter(|&key| !used.has(key)).collect();
@@ -126,14 +147,12 @@ impl GeometryTable {
         let (mut to_refit, mut to_build) = (Vec::new(), Vec::new());
         for key in used.keys() {
             let (geometry, version) = (scene.geometry(key)?, scene.geometry_version(key)?);
-            let action = match self.entries.get_mut(key) {
-                Some(entry) if entry.version == version => continue,
+            match self.entries.get_mut(key) {
+                Some(entry) if entry.version == version => {}
                 Some(entry) => entry.note_version(geometry, version, compile_index),
-                None => {
-                    self.entries.insert(key, GeometryEntry::empty(version, compile_index));
-                    BlasAction::Build(BuildReason::New)
-                }
-            };
+                None => drop(self.entries.insert(key, GeometryEntry::empty(version, compile_index))),
+            }
+            let Some(action) = self.entries[key].pending else { continue };
             match action {
                 BlasAction::Keep => {}
                 BlasAction::Refit => to_refit.push((key, geometry)),
@@ -144,7 +163,7 @@ impl GeometryTable {
         // 3. Refit in place. A refit that fails or makes the structure too costly is queued for a build.
         self.refit(&to_refit, arrays, &mut update, &mut to_build);
         // 4. Build.
-        self.build(to_build, arrays, &mut update)?;
+        self.build(to_build, arrays, &mut update, cancel)?;
         // 5. Write the vertex streams.
         for &key in &update.changed {
             let (geometry, entry) = (scene.geometry(key)?, &mut self.entries[key]);
@@ -152,6 +171,7 @@ impl GeometryTable {
             self.triangle_count = self.triangle_count - entry.triangle_count() + geometry.indices.len();
             entry.geometry = geometry.clone();
             entry.is_solid = OnceLock::new();
+            entry.pending = None;
         }
         Ok(update)
     }
@@ -205,7 +225,7 @@ impl GeometryTable {
                 arrays.blas_nodes.mark_dirty(nodes);
                 arrays.wide_nodes.mark_dirty(wide_nodes);
                 arrays.triangles.mark_dirty(triangles);
-                to_build.push((*job, BuildReason::TrianglesChanged));
+                self.build_after_refit(*job, BuildReason::TrianglesChanged, to_build);
                 continue;
             };
             let within = |range: Range<usize>, of: &Range<usize>| of.start + range.start..of.start + range.end;
@@ -222,11 +242,23 @@ impl GeometryTable {
             entry.support = support;
             let built_cost = *entry.built_cost.get_or_insert(refitted.old_cost);
             if refitted.cost > built_cost * MAX_BLAS_COST_RATIO {
-                to_build.push((*job, BuildReason::CostGrown));
+                self.build_after_refit(*job, BuildReason::CostGrown, to_build);
             } else {
                 update.refitted.add(job.1);
             }
         }
+    }
+
+    /// Queues a build of a structure whose refit did not suffice. It is built even if the geometry changes again before
+    /// that, since a refit that failed has left the structure in pieces.
+    fn build_after_refit<'a>(
+        &mut self,
+        job: GeometryJob<'a>,
+        reason: BuildReason,
+        to_build: &mut Vec<(GeometryJob<'a>, BuildReason)>,
+    ) {
+        self.entries[job.0].pending = Some(BlasAction::Build(reason));
+        to_build.push((job, reason));
     }
 
     /// Builds the structures of these geometries and writes them to the device arrays.
@@ -235,16 +267,33 @@ impl GeometryTable {
         jobs: Vec<(GeometryJob<'_>, BuildReason)>,
         arrays: &mut DeviceArrays,
         update: &mut GeometryUpdate,
+        cancel: &Cancel,
     ) -> Result<()> {
-        // 1. Build all in parallel.
-        let build = |&((key, geometry), _): &(GeometryJob<'_>, BuildReason)| {
-            let structure = self.entries[key].history.structure(geometry);
-            let blas = Blas::build(geometry, &BlasBuildParams::new(structure))?;
-            Ok((structure, SupportFunction::new(&blas), blas))
+        // 1. Build all in parallel, but those that a cancelled update has built.
+        let build = |&(key, geometry): &GeometryJob<'_>| {
+            let GeometryEntry { version, history, .. } = &self.entries[key];
+            let structure = history.structure(geometry);
+            let blas = Blas::build_with_cancel(geometry, &BlasBuildParams::new(structure), cancel)?;
+            Ok((key, FinishedBuild { version: *version, structure, support: SupportFunction::new(&blas), blas }))
         };
-        let built: Vec<(BlasKind, SupportFunction, Blas)> = jobs.par_iter().map(build).collect::<Result<_>>()?;
-        // 2. Copy them into the device arrays, in order, in the place of those that they replace.
-        for (((key, geometry), reason), (structure, support, blas)) in jobs.into_iter().zip(built) {
+        self.finished_builds.retain(|key, build| self.entries.get(key).is_some_and(|e| e.version == build.version));
+        let missing: Vec<GeometryJob<'_>> =
+            jobs.iter().map(|&(job, _)| job).filter(|&(key, _)| !self.finished_builds.contains_key(key)).collect();
+        let built: Vec<Result<(GeometryKey, FinishedBuild)>> = missing.par_iter().map(build).collect();
+        // 2. Keep what was built, should the others be cancelled.
+        let mut result = Ok(());
+        for built in built {
+            match built {
+                Ok((key, build)) => drop(self.finished_builds.insert(key, build)),
+                Err(error) => result = Err(error),
+            }
+        }
+        result?;
+        // 3. Copy them into the device arrays, in order, in the place of those that they replace.
+        for ((key, geometry), reason) in jobs {
+            let Some(FinishedBuild { structure, support, blas, .. }) = self.finished_builds.remove(key) else {
+                continue;
+            };
             update.builds.count(reason);
             update.built.add(geometry);
             let entry = &mut self.entries[key];
@@ -272,6 +321,7 @@ impl GeometryEntry {
     fn empty(version: u64, compile_index: u64) -> Self {
         Self {
             version,
+            pending: Some(BlasAction::Build(BuildReason::New)),
             history: ChangeHistory::new(compile_index),
             structure: BlasKind::default(),
             built_cost: None,
@@ -286,10 +336,17 @@ impl GeometryEntry {
         }
     }
 
-    /// Records a new version of the geometry, and returns what has to be done for it.
-    fn note_version(&mut self, geometry: &Geometry, version: u64, compile_index: u64) -> BlasAction {
+    /// Records a new version of the geometry, and what has to be done for it.
+    fn note_version(&mut self, geometry: &Geometry, version: u64, compile_index: u64) {
         self.version = version;
         self.history.record_change(compile_index);
-        choose_action(self.structure, &self.geometry, geometry)
+        let action = choose_action(self.structure, &self.geometry, geometry);
+        // What was pending for an earlier version is still needed: a refit may have been done, and is to be undone.
+        self.pending = Some(match (self.pending, action) {
+            (Some(pending @ BlasAction::Build(_)), _) | (Some(pending @ BlasAction::Refit), BlasAction::Keep) => {
+                pending
+            }
+            _ => action,
+        });
     }
 }

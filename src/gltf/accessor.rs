@@ -251,8 +251,9 @@ impl<'a> AccessorData<'a> {
         }
     }
 
-    /// The format; an error unless it has `N` components and there is data.
+    /// The format; an error unless it has `N` components and there is data, or if the import was cancelled.
     fn checked_format<const N: usize>(&self, document: &Document) -> Result<Format> {
+        document.cancel.check()?;
         let fault = match self.format {
             _ if !self.has_data() => AccessorFault::NoData,
             Some(format) if format.shape.components() == N => return Ok(format),

@@ -49,6 +49,7 @@ impl<'a> Buffers<'a> {
             *data = bin.map(Cow::Borrowed);
         }
         for (target, (i, length)) in needed {
+            document.cancel.check()?;
             let data = files
                 .read(&target, length)
                 .map_err(|fault| document.error_at(format!("/buffers/{i}"), BufferFault::Uri(fault)))?;

@@ -13,7 +13,7 @@ use serde_json::{Number, Value};
 use super::json_cost::json_cost;
 use super::{Budget, GltfFault, NodeForest, TransformFault, error_at, references};
 use crate::graph::Transform;
-use crate::{Error, Result};
+use crate::{Cancel, Error, Result};
 
 /// The extensions that are supported; a file that requires any other is refused.
 pub(super) const EXTENSIONS: &[&str] = &[
@@ -33,6 +33,8 @@ pub(super) const EXTENSIONS: &[&str] = &[
 pub(super) struct Document<'a> {
     /// The file, for messages.
     pub(super) path: &'a Path,
+    /// The token that stops the import.
+    pub(super) cancel: Cancel,
     /// The untyped JSON, for the parts that the crate has no types for.
     pub(super) value: Value,
     pub(super) accessors: Vec<json::Accessor>,
@@ -79,6 +81,7 @@ impl<'a> Document<'a> {
         let scenes = parse_array(&value, "/scenes", path)?;
         Ok(Self {
             path,
+            cancel: Cancel::new(),
             accessors: parse_array(&value, "/accessors", path)?,
             buffers: parse_array(&value, "/buffers", path)?,
             views: parse_array(&value, "/bufferViews", path)?,

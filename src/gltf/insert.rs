@@ -19,7 +19,8 @@ impl ImportPlan {
     /// Adds everything below `parent`. O(nodes + geometry, to check it).
     ///
     /// # Errors
-    /// [`Error::StaleKey`](crate::Error::StaleKey) for the parent; everything else was checked by the plan. Whatever
+    /// [`Error::StaleKey`](crate::Error::StaleKey) for the parent, and
+    /// [`Error::Cancelled`](crate::Error::Cancelled); everything else was checked by the plan. Whatever
     /// the error, everything that was added is removed again.
     pub(super) fn insert(mut self, document: &Document, scene: &mut Scene, parent: NodeKey) -> Result<ImportReport> {
         // Add everything below one root, so that a failed import can remove all nodes at once.
@@ -46,12 +47,13 @@ impl ImportPlan {
         // 1. The assets.
         scene.set_name(root, std::mem::take(&mut self.name))?;
         let mut report = self.empty_report(document, root);
-        self.insert_assets(scene, added)?;
+        self.insert_assets(document, scene, added)?;
 
         // 2. The nodes, parents first. The first node with a shared core adds it, the others refer to its key.
         let mut cores: Vec<Option<CoreKey>> = vec![None; self.cores.len()];
         let mut keys = Vec::with_capacity(self.nodes.len());
         for node in &self.nodes {
+            document.cancel.check()?;
             let source: CoreSource = match node.content {
                 NodeContent::Transform(transform) => transform.into(),
                 NodeContent::Core(core) => match (cores[core], self.cores[core]) {
@@ -81,14 +83,16 @@ impl ImportPlan {
     }
 
     /// Adds the assets, and records each key at once, so that a failed import can remove them.
-    fn insert_assets(&mut self, scene: &mut Scene, added: &mut AddedAssets) -> Result<()> {
+    fn insert_assets(&mut self, document: &Document, scene: &mut Scene, added: &mut AddedAssets) -> Result<()> {
         for texture in self.textures.drain(..) {
+            document.cancel.check()?;
             added.textures.push(scene.add_texture(texture)?);
         }
         for material in self.materials.drain(..) {
             added.materials.push(scene.add_material(material.resolve_textures(&added.textures))?);
         }
         for geometry in self.geometries.drain(..) {
+            document.cancel.check()?;
             added.geometries.push(scene.add_geometry(geometry)?);
         }
         Ok(())

@@ -80,7 +80,7 @@ use plan::ImportPlan;
 use pose::Pose;
 
 use crate::graph::{NodeKey, Scene, WallKind};
-use crate::{Error, Result};
+use crate::{Cancel, Error, Result};
 
 /// What to import.
 ///
@@ -106,6 +106,8 @@ pub struct ImportOptions {
     /// [the module](self). An import that would need more fails with [`GltfFault::Budget`]. By default (`None`) the
     /// file's size alone decides.
     pub memory_limit: Option<u64>,
+    /// The token by which another thread stops the import; `None`, the default, for none.
+    pub cancel: Option<Cancel>,
 }
 
 impl ImportOptions {
@@ -133,6 +135,13 @@ impl ImportOptions {
     #[must_use]
     pub fn with_memory_limit(mut self, bytes: impl Into<Option<u64>>) -> Self {
         self.memory_limit = bytes.into();
+        self
+    }
+
+    /// The same options with a token that stops the import.
+    #[must_use]
+    pub fn with_cancel(mut self, cancel: impl Into<Option<Cancel>>) -> Self {
+        self.cancel = cancel.into();
         self
     }
 }
@@ -180,7 +189,8 @@ pub fn import(path: impl AsRef<Path>, scene: &mut Scene, parent: NodeKey) -> Res
 /// As [`import`], with options.
 ///
 /// # Errors
-/// As [`import`], and [`Error::Gltf`] if there is no such scene in the file.
+/// As [`import`], [`Error::Gltf`] if there is no such scene in the file, and [`Error::Cancelled`] if the token has
+/// stopped it.
 pub fn import_with(
     path: impl AsRef<Path>,
     options: &ImportOptions,
@@ -208,7 +218,9 @@ pub fn import_from_slice(
     let container = Container::parse(bytes, path)?;
     let json_bytes = container.json.len() as u64;
     let mut budget = Budget::new(json_bytes, bytes.len() as u64 - json_bytes, options.memory_limit);
-    let document = Document::parse(container.json, path, &mut budget)?;
+    let mut document = Document::parse(container.json, path, &mut budget)?;
+    document.cancel = options.cancel.clone().unwrap_or_default();
+    document.cancel.check()?;
     let files = ExternalFiles::new(path, &options.files);
     let buffers = Buffers::load(&document, &files, container.bin, &mut budget)?;
     // Plan the whole import before the scene is changed.

@@ -216,6 +216,7 @@ impl Planner<'_, '_> {
     /// Plans one node of the file with its mesh, camera and light, without its children; returns its index in `nodes`.
     fn plan_node(&mut self, node: usize, parent: Option<usize>) -> Result<usize> {
         let document = self.document;
+        document.cancel.check()?;
         let source = &document.nodes[node];
         let transform = document.transforms[node];
         // The numbers of the file are finite, but the products in a matrix can overflow.

@@ -53,6 +53,7 @@ impl PrimitiveRequests {
         let mut sources = Vec::with_capacity(document.meshes.len());
         // Find the source of every primitive's geometry, and warn of primitives that are not drawn.
         for (m, mesh) in document.meshes.iter().enumerate() {
+            document.cancel.check()?;
             let mut mesh_sources = Vec::with_capacity(mesh.primitives.len());
             for (p, primitive) in mesh.primitives.iter().enumerate() {
                 let pointer = pointer(m, p);

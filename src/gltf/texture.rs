@@ -121,6 +121,7 @@ impl<'d> ImageRequests<'d> {
         // 1. Read the encoded bytes. An embedded image outside of its buffer is an error; a missing file is not.
         let mut encoded = Vec::with_capacity(self.requested.len());
         for image in &self.requested {
+            document.cancel.check()?;
             encoded.push(image.map(|image| read(document, buffers, self.files, image)).transpose()?);
         }
 
@@ -135,7 +136,11 @@ impl<'d> ImageRequests<'d> {
         }
 
         // 3. Decode.
-        let decoded: Vec<_> = encoded.into_par_iter().map(|bytes| bytes.map(|bytes| decode(&bytes?))).collect();
+        let decode = |bytes: Option<Result<Cow<'_, [u8]>, ImageFault>>| {
+            document.cancel.check()?;
+            Ok(bytes.map(|bytes| decode(&bytes?)))
+        };
+        let decoded: Vec<_> = encoded.into_par_iter().map(decode).collect::<Result<_>>()?;
         // Replace the images that cannot be shown.
         let mut textures = Vec::with_capacity(decoded.len());
         for (image, decoded) in self.requested.iter().zip(decoded) {

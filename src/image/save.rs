@@ -14,7 +14,8 @@ impl Image {
     ///   32 bit, ZIP compressed without loss.
     ///
     /// The file appears whole or not at all: it is written to the same folder under another name and then renamed, so
-    /// that an older file of that name stays as it was until the new one is complete.
+    /// that an older file of that name stays as it was until the new one is complete. That other name is
+    /// `.ropewalk-<process id>-<number>.tmp`, for a program that ends itself meanwhile and removes the file.
     ///
     /// # Errors
     /// - [`Error::ImageFormat`] for any other extension.

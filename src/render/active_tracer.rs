@@ -7,7 +7,7 @@ use serde::Serialize;
 #[cfg(feature = "gpu")]
 use crate::trace::gpu::{AdapterKinds, GpuOptions, GpuTracer};
 use crate::trace::{Cpu, Emulated, Tracer};
-use crate::{Error, Result};
+use crate::{Cancel, Error, Result};
 
 /// Which tracer a renderer uses, and the policy after [`Error::DeviceLost`] or [`Error::OutOfMemory`]: the failing call
 /// returns the error, and the next call recovers as documented at each variant.
@@ -36,6 +36,8 @@ pub(super) struct ActiveTracer {
     fallback: Option<String>,
     /// A failure from which the next call must recover.
     failure: Cell<Option<Failure>>,
+    /// The token of the tracer, which one that replaces it gets too.
+    cancel: Option<Cancel>,
 }
 
 /// The kinds of failure after which the tracer may have to be replaced.
@@ -63,7 +65,24 @@ impl ActiveTracer {
 
     /// Takes a tracer of the application.
     pub(super) fn from_tracer(tracer: Box<dyn Tracer>) -> Self {
-        Self { choice: None, tracer, fallback: None, failure: Cell::new(None) }
+        Self { choice: None, tracer, fallback: None, failure: Cell::new(None), cancel: None }
+    }
+
+    /// Replaces the tracer by one of the application.
+    pub(super) fn set_tracer(&mut self, tracer: Box<dyn Tracer>) {
+        self.replace_by(Self::from_tracer(tracer));
+    }
+
+    /// Sets the token that stops the tracer.
+    pub(super) fn set_cancel(&mut self, cancel: Option<Cancel>) {
+        self.tracer.set_cancel(cancel.clone());
+        self.cancel = cancel;
+    }
+
+    fn replace_by(&mut self, new: Self) {
+        let cancel = self.cancel.take();
+        *self = new;
+        self.set_cancel(cancel);
     }
 
     /// Why the CPU is used although `Auto` prefers a GPU; `None` if it is not, or another policy was chosen.
@@ -94,11 +113,12 @@ impl ActiveTracer {
     pub(super) fn recover(&mut self) -> Result<()> {
         match (self.choice, self.failure.get()) {
             // A lost device is opened again, as the policy chooses now.
-            (Some(choice), Some(Failure::DeviceLost)) => *self = Self::open(choice)?,
+            (Some(choice), Some(Failure::DeviceLost)) => self.replace_by(Self::open(choice)?),
             // Out of memory: `Auto` goes on with the CPU.
             (Some(DeviceChoice::Auto), Some(Failure::OutOfMemory)) => {
                 let fallback = Some("the GPU had no memory left".to_owned());
-                *self = Self { choice: self.choice, fallback, ..Self::from_tracer(Box::new(Cpu::default())) };
+                let cpu = Self::from_tracer(Box::new(Cpu::default()));
+                self.replace_by(Self { choice: self.choice, fallback, ..cpu });
             }
             // Everything else is tried again with the same tracer.
             _ => self.failure.set(None),

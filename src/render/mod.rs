@@ -17,7 +17,6 @@ use glam::DVec3;
 
 use active_tracer::ActiveTracer;
 
-use crate::Result;
 use crate::compile::{CompileReport, Compiler};
 use crate::graph::Scene;
 use crate::image::Image;
@@ -26,6 +25,7 @@ use crate::query::{Hit, Queries};
 use crate::trace::gpu::GpuTracer;
 use crate::trace::kernel::camera_ray;
 use crate::trace::{DeviceInfo, FrameRequest, Tracer};
+use crate::{Cancel, Result};
 
 /// Renders scenes by ray tracing, in the manner of Whitted: shadows, reflections, refractions.
 ///
@@ -99,7 +99,19 @@ impl Renderer {
     /// Replaces the tracer, for example after its device was lost. The next call uploads the whole compiled scene to
     /// it; no acceleration structure is built again.
     pub fn set_tracer(&mut self, tracer: impl Tracer + 'static) {
-        self.device = ActiveTracer::from_tracer(Box::new(tracer));
+        self.device.set_tracer(Box::new(tracer));
+    }
+
+    /// Sets the token by which another thread stops [`render`](Self::render), [`prepare`](Self::prepare) and the other
+    /// calls that compile or trace; `None`, the default, for none. The calls then return
+    /// [`Error::Cancelled`](crate::Error::Cancelled), and what they have built until then is kept for the next call.
+    ///
+    /// On a GPU a frame with a token is submitted in step with its being traced, so that `render` returns when most of
+    /// it is done; without a token it returns at once.
+    pub fn set_cancel(&mut self, cancel: impl Into<Option<Cancel>>) {
+        let cancel = cancel.into();
+        self.compiler.set_cancel(cancel.clone());
+        self.device.set_cancel(cancel);
     }
 
     /// Why [`DeviceChoice::Auto`] uses the CPU; `None` while it uses a GPU, and for any other choice.
@@ -148,7 +160,7 @@ impl Renderer {
     /// As [`View::validate`]; [`Error::Limit`](crate::Error::Limit) if scene or image are too large for the device;
     /// [`Error::DeviceLost`](crate::Error::DeviceLost) and [`Error::OutOfMemory`](crate::Error::OutOfMemory), after
     /// which the next call recovers as [`DeviceChoice`] describes; [`Error::Gpu`](crate::Error::Gpu) if the driver
-    /// fails otherwise.
+    /// fails otherwise; [`Error::Cancelled`](crate::Error::Cancelled) if the [token](Self::set_cancel) stopped it.
     pub fn render(&mut self, scene: &mut Scene, view: &View) -> Result<Frame<'_>> {
         let start = Instant::now();
         view.validate()?;

@@ -8,11 +8,11 @@ use super::kernel::{
     AnyQuery, ClosestQuery, Continuation, KernelScene, Pixel, Query, RayQueries, TransmittanceQuery, any_hit,
     camera_ray, closest_hit, render_pixel, run_query,
 };
-use super::{DeviceInfo, FrameCounts, FrameRequest, Tracer, Traversal, TraversalCounts};
-use crate::Result;
+use super::{DeviceInfo, FrameCounts, FrameRequest, Tracer, Traversal, TraversalCounts, trace_rays};
 use crate::device::DeviceArrays;
 use crate::device::layout::{HitRecord, RayRecord};
 use crate::image::Image;
+use crate::{Cancel, Result};
 
 /// Runs the Rust twin of the GPU kernel on the calling thread, one ray at a time. For debugging the kernel and as the
 /// reference for other executors. Borrows the arrays; [`upload`](Tracer::upload) copies nothing. Only
@@ -22,6 +22,7 @@ pub struct Emulated {
     device: DeviceInfo,
     traversal: Traversal,
     frame: FrameBuffer,
+    cancel: Cancel,
 }
 
 impl Emulated {
@@ -108,13 +109,17 @@ fn count<Q: Query>(scene: &KernelScene<'_>, rays: &[RayRecord], ray_mask: u32, q
 impl Default for Emulated {
     fn default() -> Self {
         let device = DeviceInfo { executor: "emulated", name: "1 thread".to_owned() };
-        Self { device, traversal: Traversal::default(), frame: FrameBuffer::default() }
+        Self { device, traversal: Traversal::default(), frame: FrameBuffer::default(), cancel: Cancel::default() }
     }
 }
 
 impl Tracer for Emulated {
     fn device(&self) -> &DeviceInfo {
         &self.device
+    }
+
+    fn set_cancel(&mut self, cancel: Option<Cancel>) {
+        self.cancel = cancel.unwrap_or_default();
     }
 
     fn upload(&mut self, arrays: &mut DeviceArrays) -> Result<u64> {
@@ -125,8 +130,10 @@ impl Tracer for Emulated {
     fn render(&mut self, arrays: &DeviceArrays, request: &FrameRequest) -> Result<()> {
         let scene = KernelScene::with_traversal(arrays, self.traversal);
         let params = &request.params;
+        self.frame = FrameBuffer::default();
         let mut frame = FrameBuffer::new(params.width, params.height, request.aovs)?;
         for y in 0..params.height {
+            self.cancel.check()?;
             for x in 0..params.width {
                 let primary = camera_ray(params, x, y);
                 frame.push(&render_pixel(&mut &scene, params, &primary));
@@ -146,11 +153,11 @@ impl Tracer for Emulated {
 
     fn closest_hits(&mut self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> Result<Vec<HitRecord>> {
         let scene = KernelScene::with_traversal(arrays, self.traversal);
-        Ok(rays.iter().map(|ray| closest_hit(&scene, ray, ray_mask)).collect())
+        trace_rays(rays, &self.cancel, |ray| closest_hit(&scene, ray, ray_mask))
     }
 
     fn any_hits(&mut self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> Result<Vec<bool>> {
         let scene = KernelScene::with_traversal(arrays, self.traversal);
-        Ok(rays.iter().map(|ray| any_hit(&scene, ray, ray_mask)).collect())
+        trace_rays(rays, &self.cancel, |ray| any_hit(&scene, ray, ray_mask))
     }
 }

@@ -21,11 +21,11 @@ use std::time::Duration;
 
 use serde::Serialize;
 
-use crate::Result;
 use crate::device::DeviceArrays;
 use crate::device::Needs;
 use crate::device::layout::{FrameParams, HitRecord, RayRecord};
 use crate::image::Image;
+use crate::{Cancel, Result};
 
 /// Traces rays through [`DeviceArrays`]: the same rays through the same arrays give the same hits in every executor
 /// (see the tie band in `docs/ARCHITECTURE.md`).
@@ -41,6 +41,11 @@ pub trait Tracer {
     /// The device that this executor runs on.
     fn device(&self) -> &DeviceInfo;
 
+    /// Sets the token that stops [`render`](Self::render), [`closest_hits`](Self::closest_hits) and
+    /// [`any_hits`](Self::any_hits) from now on: they then return [`Error::Cancelled`](crate::Error::Cancelled), after
+    /// which the next call works as ever. By default it is ignored: calls of such an executor run to their end.
+    fn set_cancel(&mut self, _cancel: Option<Cancel>) {}
+
     /// Brings the executor's copy of the arrays up to date and returns how many bytes had changed. After an error the
     /// next call copies everything.
     ///
@@ -51,7 +56,7 @@ pub trait Tracer {
     fn upload(&mut self, arrays: &mut DeviceArrays) -> Result<u64>;
 
     /// Traces a frame. The pixels stay in the executor's memory (on the GPU, for `gpu`) until
-    /// [`read_image`](Self::read_image) copies them.
+    /// [`read_image`](Self::read_image) copies them. After an error there is no frame to be copied.
     fn render(&mut self, arrays: &DeviceArrays, request: &FrameRequest) -> Result<()>;
 
     /// Copies the last frame rendered into an image.
@@ -130,4 +135,17 @@ impl DeviceInfo {
     pub fn new(executor: &'static str, name: impl Into<String>) -> Self {
         Self { executor, name: name.into() }
     }
+}
+
+/// Rays that an executor of one thread traces between two looks at its token.
+const RAYS_PER_CHECK: usize = 256;
+
+/// Traces rays one after the other until the token stops it.
+fn trace_rays<T>(rays: &[RayRecord], cancel: &Cancel, trace: impl Fn(&RayRecord) -> T) -> Result<Vec<T>> {
+    let mut results = Vec::with_capacity(rays.len());
+    for rays in rays.chunks(RAYS_PER_CHECK) {
+        cancel.check()?;
+        results.extend(rays.iter().map(&trace));
+    }
+    Ok(results)
 }

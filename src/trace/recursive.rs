@@ -10,11 +10,11 @@ use super::kernel::{
     AnyQuery, ClosestQuery, Continuation, KernelScene, Query, RayQueries, SlabRay, TransmittanceQuery,
     TraversalCounter, TraversalRay, camera_ray, intersect_leaf, intersects_box, max_component, render_pixel, shear_ray,
 };
-use super::{DeviceInfo, FrameRequest, Tracer, TraversalCounts};
-use crate::Result;
+use super::{DeviceInfo, FrameRequest, Tracer, TraversalCounts, trace_rays};
 use crate::device::DeviceArrays;
 use crate::device::layout::{HitRecord, Node, PrimitiveRange, RayRecord, Triangle};
 use crate::image::Image;
+use crate::{Cancel, Result};
 
 /// A textbook recursive BVH traversal: heap nodes with child pointers, children visited in storage order. It is a
 /// baseline for benchmarks and an independent check of the other executors' traversals (the triangle test and the hit
@@ -26,6 +26,7 @@ pub struct Recursive {
     /// `None` before the first upload.
     trees: Option<PointerTrees>,
     frame: FrameBuffer,
+    cancel: Cancel,
 }
 
 /// The pointer trees of both levels.
@@ -79,13 +80,17 @@ impl Recursive {
 impl Default for Recursive {
     fn default() -> Self {
         let device = DeviceInfo { executor: "recursive", name: "1 thread".to_owned() };
-        Self { device, trees: None, frame: FrameBuffer::default() }
+        Self { device, trees: None, frame: FrameBuffer::default(), cancel: Cancel::default() }
     }
 }
 
 impl Tracer for Recursive {
     fn device(&self) -> &DeviceInfo {
         &self.device
+    }
+
+    fn set_cancel(&mut self, cancel: Option<Cancel>) {
+        self.cancel = cancel.unwrap_or_default();
     }
 
     fn upload(&mut self, arrays: &mut DeviceArrays) -> Result<u64> {
@@ -106,8 +111,10 @@ impl Tracer for Recursive {
         let scene = KernelScene::new(arrays);
         let mut rays = TreeQueries { scene: &scene, trees: self.trees.as_ref() };
         let params = &request.params;
+        self.frame = FrameBuffer::default();
         let mut frame = FrameBuffer::new(params.width, params.height, request.aovs)?;
         for y in 0..params.height {
+            self.cancel.check()?;
             for x in 0..params.width {
                 let primary = camera_ray(params, x, y);
                 frame.push(&render_pixel(&mut rays, params, &primary));
@@ -128,13 +135,13 @@ impl Tracer for Recursive {
     fn closest_hits(&mut self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> Result<Vec<HitRecord>> {
         let scene = KernelScene::new(arrays);
         let tracer = TreeQueries { scene: &scene, trees: self.trees.as_ref() };
-        Ok(rays.iter().map(|ray| tracer.next_hit(ray, Continuation::START, ray_mask)).collect())
+        trace_rays(rays, &self.cancel, |ray| tracer.next_hit(ray, Continuation::START, ray_mask))
     }
 
     fn any_hits(&mut self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> Result<Vec<bool>> {
         let scene = KernelScene::new(arrays);
         let tracer = TreeQueries { scene: &scene, trees: self.trees.as_ref() };
-        Ok(rays.iter().map(|ray| tracer.any_hit(ray, ray_mask)).collect())
+        trace_rays(rays, &self.cancel, |ray| tracer.any_hit(ray, ray_mask))
     }
 }
 

@@ -1,5 +1,6 @@
 //! The compiler: from scenes and their changes to device arrays.
 
+mod cancel;
 mod compiler;
 mod cores;
 mod deformation;

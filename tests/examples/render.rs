@@ -42,6 +42,36 @@ fn render_small(folder: &TempDir, arguments: &[&str]) -> Run {
     run
 }
 
+/// Ctrl+C after the first of many images: the program ends by itself, and every image that is there is whole.
+#[cfg(unix)]
+#[test]
+fn ctrl_c_ends_with_130_and_leaves_whole_images_only() {
+    use std::process::Stdio;
+
+    let folder = folder();
+    let arguments = ["two.gltf", "--device", "cpu", "--size", "400x300", "--frames", "99999", "--output", "turn.png"];
+    let mut command = Command::new(executable());
+    let child = command.args(arguments).current_dir(&folder).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut child = child.spawn().unwrap();
+    let images = || names_in(folder.path()).into_iter().filter(|name| name.ends_with(".png")).collect::<Vec<_>>();
+    while images().is_empty() {
+        assert!(child.try_wait().unwrap().is_none(), "it ended before its first image");
+        std::thread::yield_now();
+    }
+    // The signal is sent by a program, as the standard library sends none.
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    let output = child.wait_with_output().unwrap();
+    assert_eq!((output.status.code(), output.stdout.as_slice()), (Some(130), &b""[..]));
+    assert_eq!(String::from_utf8(output.stderr).unwrap(), "interrupted\n");
+    for name in images() {
+        let bytes = fs::read(folder.path().join(&name)).unwrap();
+        let decoded = ::image::load_from_memory(&bytes).unwrap();
+        assert_eq!((decoded.width(), decoded.height()), (400, 300), "{name}");
+    }
+    let others: Vec<String> = names_in(folder.path()).into_iter().filter(|name| !name.ends_with(".png")).collect();
+    assert_eq!(others, ["two.gltf"], "no file of another name");
+}
+
 /// Cargo puts examples beside the folder of the test programs.
 fn executable() -> PathBuf {
     let test = std::env::current_exe().unwrap();

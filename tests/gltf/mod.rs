@@ -5,6 +5,7 @@
 #![expect(clippy::unwrap_used, clippy::panic, reason = "a panic in a test is a failure")]
 #![expect(clippy::needless_pass_by_value, reason = "json! makes values to be given away")]
 
+mod cancel;
 mod files;
 mod fixture;
 mod geometry;

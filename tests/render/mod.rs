@@ -1,5 +1,6 @@
 //! Frames of whole scenes.
 
+mod cancel;
 mod framing;
 mod golden;
 mod lens_shift;

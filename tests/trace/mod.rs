@@ -1,5 +1,6 @@
 //! The executors and the shaders.
 
+mod cancel;
 #[cfg(feature = "gpu")]
 mod gpu;
 mod kernel;

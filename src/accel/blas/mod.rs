@@ -21,10 +21,10 @@ use super::build::{build_tree, triangle_references};
 use super::stats::BvhStats;
 use super::tree::{PARALLEL_SUBTREE_THRESHOLD, SahParams};
 use super::validate::{BvhError, validate_nodes};
-use crate::Result;
 use crate::device::layout::{Node, PrimitiveRange, Triangle, WideNode};
 use crate::graph::{BlasKind, Geometry, Quality};
 use crate::math::Aabb;
+use crate::{Cancel, Result};
 
 /// A bottom-level acceleration structure of one geometry: position-independent arrays that can be copied to any offset
 /// of the device arrays.
@@ -111,22 +111,28 @@ impl Blas {
     /// - [`BlasKind::KdTree`]: spatial splits wherever possible until there are twice as many references as triangles,
     ///   object splits after that; planes are chosen by the SAH, and node boxes are clipped to their contents.
     ///
-    /// Triangles with two equal corners are left out: no ray hits them. Other degenerate triangles (three distinct
-    /// collinear corners) stay in the leaves, and the triangle test rejects them.
-    ///
     /// # Errors
     /// [`Error::InvalidGeometry`](crate::Error::InvalidGeometry) as [`Geometry::validate`] says. Geometry that a scene
     /// holds is valid.
     pub fn build(geometry: &Geometry, params: &BlasBuildParams) -> Result<Self> {
+        Self::build_with_cancel(geometry, params, &Cancel::new())
+    }
+
+    /// As [`build`](Self::build), until the token stops it.
+    ///
+    /// # Errors
+    /// As [`build`](Self::build), and [`Error::Cancelled`](crate::Error::Cancelled).
+    pub fn build_with_cancel(geometry: &Geometry, params: &BlasBuildParams, cancel: &Cancel) -> Result<Self> {
         if geometry.indices.len() < PARALLEL_SUBTREE_THRESHOLD {
-            Self::build_in_pool(geometry, params)
+            Self::build_in_pool(geometry, params, cancel)
         } else {
             // Enter the rayon pool once instead of once per parallel loop.
-            rayon::scope(|_| Self::build_in_pool(geometry, params))
+            rayon::scope(|_| Self::build_in_pool(geometry, params, cancel))
         }
     }
 
-    fn build_in_pool(geometry: &Geometry, params: &BlasBuildParams) -> Result<Self> {
+    fn build_in_pool(geometry: &Geometry, params: &BlasBuildParams, cancel: &Cancel) -> Result<Self> {
+        cancel.check()?;
         // 1. Bound the triangles.
         let (mut references, extent) = triangle_references(geometry)?;
         let count = references.len();
@@ -137,12 +143,17 @@ impl Blas {
             primitive_cost: params.triangle_cost,
         };
         let mut build_nodes = |structure: BlasKind| {
-            let tree = build_tree(geometry, &mut references, &extent, structure, &sah_params);
-            let pruned = PrunedTree::new(&tree, &sah_params)?;
-            Some(pruned.join_near_root(0, || flatten(&pruned), || collapse(&pruned)))
+            let tree = build_tree(geometry, &mut references, &extent, structure, &sah_params, cancel)?;
+            let Some(pruned) = PrunedTree::new(&tree, &sah_params) else { return Ok(None) };
+            cancel.check()?;
+            Ok(Some(pruned.join_near_root(0, || flatten(&pruned), || collapse(&pruned))))
         };
-        let nodes = build_nodes(params.structure).or_else(|| build_nodes(BlasKind::Bvh(Quality::Medium)));
+        let nodes = match build_nodes(params.structure)? {
+            None => build_nodes(BlasKind::Bvh(Quality::Medium))?,
+            nodes => nodes,
+        };
         let (flat, wide_nodes) = nodes.unwrap_or_default();
+        cancel.check()?;
         // 3. Copy the triangles in leaf order.
         let triangles = flat.primitive_indices.par_iter().with_min_len(CHUNK).map(|&p| triangle(geometry, p)).collect();
         let has_duplicates = flat.primitive_indices.len() > count;

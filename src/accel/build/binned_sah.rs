@@ -7,17 +7,20 @@
 use super::object_bins::{BinMapping, ObjectBins, ObjectSplit, PARALLEL_BINNING_THRESHOLD};
 use super::partition::{partition, partition_parallel};
 use super::spatial_split::{self, SpatialSplit, SpatialSplits};
+use crate::Cancel;
 use crate::accel::tree::{
     BuildNode, BuildTree, MAX_SAH_DEPTH, PARALLEL_SUBTREE_THRESHOLD, PrimitiveReference, ReferenceBounds, SahParams,
     max_node_count_below, normalizing_scale,
 };
 
-/// Builds a tree over `references`, whose bounds are `extent`. O(n log n).
+/// Builds a tree over `references`, whose bounds are `extent`. O(n log n). Once cancelled, it makes leaves of what is
+/// left.
 pub(super) fn build(
     mut references: Vec<PrimitiveReference>,
     extent: &ReferenceBounds,
     params: &SahParams,
     splits: Option<SpatialSplits<'_>>,
+    cancel: &Cancel,
 ) -> BuildTree {
     let count = references.len();
     if count == 0 {
@@ -33,7 +36,7 @@ pub(super) fn build(
     // 3. Collect the constants of the build.
     let root_scale = normalizing_scale(&extent.bounds);
     let min_overlap_area = MIN_OVERLAP * extent.bounds.half_area(root_scale);
-    let context = BuildContext { params, spatial_splits: splits, min_overlap_area, root_scale };
+    let context = BuildContext { params, spatial_splits: splits, min_overlap_area, root_scale, cancel };
     // 4. Build from the root.
     let root = BuildRecord {
         references: &mut references,
@@ -61,6 +64,7 @@ struct BuildContext<'a> {
     min_overlap_area: f32,
     /// The [`normalizing_scale`] of the root, in whose units `min_overlap_area` is measured.
     root_scale: f32,
+    cancel: &'a Cancel,
 }
 
 /// One subtree to build (Embree's `BuildRecord`).
@@ -116,7 +120,10 @@ impl BuildRecord<'_> {
         if self.count == 2 {
             return self.build_pair(below, params);
         }
-        // 2. Find the best object split.
+        // 2. Find the best object split, unless the build was cancelled.
+        if self.count >= PARALLEL_SUBTREE_THRESHOLD && worker.context.cancel.should_stop() {
+            return self.make_leaf();
+        }
         let can_be_leaf = self.count <= params.max_leaf_size;
         let scale = normalizing_scale(&self.extent.bounds);
         let object_split = self.find_object_split(scale, worker);

@@ -5,6 +5,7 @@
 
 use super::binned_sah;
 use super::spatial_split::SpatialSplits;
+use crate::Cancel;
 use crate::accel::tree::{BuildTree, PrimitiveReference, ReferenceBounds, SahParams};
 use crate::graph::Geometry;
 
@@ -18,8 +19,9 @@ pub(super) fn build(
     references: Vec<PrimitiveReference>,
     extent: &ReferenceBounds,
     params: &SahParams,
+    cancel: &Cancel,
 ) -> BuildTree {
     let splits = SpatialSplits::new(geometry, extent, references.len(), DUPLICATE_BUDGET);
     let splits = splits.map(|splits| SpatialSplits { spatial_only: true, ..splits });
-    binned_sah::build(references, extent, params, splits)
+    binned_sah::build(references, extent, params, splits, cancel)
 }

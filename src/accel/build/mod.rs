@@ -20,9 +20,9 @@ use rayon::prelude::*;
 use self::reinsertion::{ReinsertionParams, reinsert};
 use self::spatial_split::SpatialSplits;
 use super::tree::{BuildTree, PrimitiveReference, ReferenceBounds, SahParams};
-use crate::Result;
 use crate::graph::{BlasKind, Geometry, Quality};
 use crate::math::Aabb;
+use crate::{Cancel, Result};
 
 /// The duplicate budget of spatial splits for [`Quality::High`], as a fraction of the triangle count. What a
 /// larger one gains is in `docs/benchmarks/log.md`.
@@ -33,30 +33,51 @@ const HIGH_QUALITY_REINSERTION: ReinsertionParams = ReinsertionParams { iteratio
 /// Builds the tree of a structure over `references` to the triangles of `geometry`; their bounds are `extent`. Only the
 /// tree of [`Quality::Low`] may be deeper than [`MAX_BLAS_DEPTH`](super::MAX_BLAS_DEPTH); building it leaves
 /// `references` as they are, while the other builders take them.
+///
+/// Builders look at the token at each large subtree, and leave the rest of the tree unfinished once it has stopped
+/// them.
+///
+/// # Errors
+/// [`Error::Cancelled`](crate::Error::Cancelled).
 pub(super) fn build_tree(
     geometry: &Geometry,
     references: &mut Vec<PrimitiveReference>,
     extent: &ReferenceBounds,
     structure: BlasKind,
     params: &SahParams,
+    cancel: &Cancel,
+) -> Result<BuildTree> {
+    let tree = build_tree_unless_cancelled(geometry, references, extent, structure, params, cancel);
+    cancel.check()?;
+    Ok(tree)
+}
+
+/// [`build_tree`], which is unfinished if the token has stopped it.
+fn build_tree_unless_cancelled(
+    geometry: &Geometry,
+    references: &mut Vec<PrimitiveReference>,
+    extent: &ReferenceBounds,
+    structure: BlasKind,
+    params: &SahParams,
+    cancel: &Cancel,
 ) -> BuildTree {
     // Low quality: agglomerative clustering.
     if structure == BlasKind::Bvh(Quality::Low) {
-        return agglomerative::build_tree(references);
+        return agglomerative::build_tree(references, cancel);
     }
     let references = std::mem::take(references);
     match structure {
         // Medium quality: object splits only.
-        BlasKind::Bvh(Quality::Low | Quality::Medium) => binned_sah::build(references, extent, params, None),
+        BlasKind::Bvh(Quality::Low | Quality::Medium) => binned_sah::build(references, extent, params, None, cancel),
         // High quality: object and spatial splits, then reinsertion.
         BlasKind::Bvh(Quality::High) => {
             let splits = SpatialSplits::new(geometry, extent, references.len(), HIGH_QUALITY_DUPLICATE_BUDGET);
-            let mut tree = binned_sah::build(references, extent, params, splits);
-            reinsert(&mut tree, HIGH_QUALITY_REINSERTION);
+            let mut tree = binned_sah::build(references, extent, params, splits, cancel);
+            reinsert(&mut tree, HIGH_QUALITY_REINSERTION, cancel);
             tree
         }
         // A kd-tree: spatial splits wherever possible.
-        BlasKind::KdTree => kd_tree::build(geometry, references, extent, params),
+        BlasKind::KdTree => kd_tree::build(geometry, references, extent, params, cancel),
     }
 }
 

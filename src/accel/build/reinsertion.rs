@@ -7,6 +7,7 @@
 
 use rayon::prelude::*;
 
+use crate::Cancel;
 use crate::accel::tree::{BuildNode, BuildNodeContent, BuildTree, MAX_BLAS_DEPTH, SimdAabb, normalizing_scale};
 
 /// How much work reinsertion does.
@@ -18,9 +19,10 @@ pub(super) struct ReinsertionParams {
     pub(super) candidate_fraction: f32,
 }
 
-/// Optimises the tree in place. Leaves keep their primitives; only the position of subtrees changes.
-pub(super) fn reinsert(tree: &mut BuildTree, params: ReinsertionParams) {
-    let Some(root) = tree.nodes.first() else { return };
+/// Optimises the tree in place, until it is cancelled. Leaves keep their primitives; only the position of subtrees
+/// changes.
+pub(super) fn reinsert(tree: &mut BuildTree, params: ReinsertionParams, cancel: &Cancel) {
+    let Some(root) = tree.nodes.first().filter(|_| !cancel.should_stop()) else { return };
     let scale = normalizing_scale(&root.bounds());
     // 1. Find the parents and heights of all nodes.
     let (parents, heights) = parents_and_heights(&tree.nodes);
@@ -29,8 +31,8 @@ pub(super) fn reinsert(tree: &mut BuildTree, params: ReinsertionParams) {
         // 2. Choose the largest nodes.
         let candidates = inserter.candidates(params.candidate_fraction);
         // 3. Search their best positions in parallel.
-        let mut moves: Vec<Reinsertion> =
-            candidates.into_par_iter().filter_map(|node| inserter.find_best_position(node)).collect();
+        let find_best_position = |node| if cancel.should_stop() { None } else { inserter.find_best_position(node) };
+        let mut moves: Vec<Reinsertion> = candidates.into_par_iter().filter_map(find_best_position).collect();
         // 4. Sort by area saved, ties by node index.
         moves.par_sort_unstable_by(|a, b| b.area_saved.total_cmp(&a.area_saved).then(a.node.cmp(&b.node)));
         // 5. Apply the moves that do not conflict.

@@ -3,6 +3,7 @@
 use super::cost::AreaSums;
 use super::leaf_table::LeafTable;
 use super::node::{instance_leaf, with_box_around};
+use crate::Cancel;
 use crate::accel::build::agglomerative::{self, ChildCluster, ClusterKind, MergeRecord, MortonOrder};
 use crate::device::layout::{NONE, Node, PrimitiveRange};
 
@@ -53,7 +54,7 @@ impl ClusterTree {
     /// Clusters the boxes of an order.
     pub(super) fn new(order: MortonOrder) -> Self {
         let mut merges = bytemuck::zeroed_vec(order.len());
-        let root = agglomerative::build(&order, &mut merges);
+        let root = agglomerative::build(&order, &mut merges, &Cancel::new());
         Self { order, merges, root }
     }
 

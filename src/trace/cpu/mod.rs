@@ -49,16 +49,17 @@ use self::tile::TileTracer;
 use super::frame_buffer::FrameBuffer;
 use super::kernel::{KernelScene, Pixel};
 use super::{DeviceInfo, FrameRequest, Tracer, Traversal};
-use crate::Result;
 use crate::device::DeviceArrays;
 use crate::device::layout::{HitRecord, RayRecord};
 use crate::image::Image;
+use crate::{Cancel, Result};
 
 /// Traces rays on all threads of rayon's current pool, 16 at a time in the lanes of AVX-512, AVX2 or NEON where the
 /// processor has one of these, else one by one. Borrows the arrays; [`upload`](Tracer::upload) copies nothing.
 ///
-/// Of the errors of [`Tracer`] only [`Error::Limit`](crate::Error::Limit) occurs, for a frame with too many pixels. A
-/// frame takes memory for its pixels; batches of rays take a fixed amount per thread.
+/// Of the errors of [`Tracer`] only [`Error::Limit`](crate::Error::Limit) occurs, for a frame with too many pixels, and
+/// [`Error::Cancelled`](crate::Error::Cancelled). A frame takes memory for its pixels; batches of rays take a fixed
+/// amount per thread.
 #[derive(Debug)]
 pub struct Cpu {
     device: DeviceInfo,
@@ -67,6 +68,7 @@ pub struct Cpu {
     width: u32,
     height: u32,
     aovs: bool,
+    cancel: Cancel,
 }
 
 /// Side of a tile in pixels: small enough for load balancing over cores, large enough that a tile's rays share nodes in
@@ -79,7 +81,7 @@ impl Default for Cpu {
     fn default() -> Self {
         let name = format!("{} threads", rayon::current_num_threads());
         let device = DeviceInfo { executor: "cpu", name };
-        Self { device, pixels: Vec::new(), width: 0, height: 0, aovs: false }
+        Self { device, pixels: Vec::new(), width: 0, height: 0, aovs: false, cancel: Cancel::default() }
     }
 }
 
@@ -91,6 +93,10 @@ impl Tracer for Cpu {
     fn upload(&mut self, arrays: &mut DeviceArrays) -> Result<u64> {
         arrays.clear_dirty();
         Ok(0)
+    }
+
+    fn set_cancel(&mut self, cancel: Option<Cancel>) {
+        self.cancel = cancel.unwrap_or_default();
     }
 
     fn render(&mut self, arrays: &DeviceArrays, request: &FrameRequest) -> Result<()> {
@@ -105,16 +111,25 @@ impl Tracer for Cpu {
         }
         // Render rows of tiles in parallel.
         let rows_of_tiles = self.pixels.par_chunks_mut(TILE_SIDE as usize * self.width as usize);
-        rows_of_tiles.zip((0..self.height).into_par_iter().step_by(TILE_SIDE as usize)).for_each(|(row, top)| {
+        let rows_of_tiles = rows_of_tiles.zip((0..self.height).into_par_iter().step_by(TILE_SIDE as usize));
+        let traced = rows_of_tiles.try_for_each(|(row, top)| {
             // Render the tiles of a row in parallel; scratch memory is per task.
             let tiles = row.par_chunks_mut((TILE_SIDE * rows_of_tile(self.height, top)) as usize);
             let tiles = tiles.zip((0..self.width).into_par_iter().step_by(TILE_SIDE as usize));
-            tiles.for_each_init(
+            tiles.try_for_each_init(
                 || TileTracer::new(&scene),
-                |tracer, (pixels, left)| tracer.render(params, [left, top], columns_of_tile(self.width, left), pixels),
-            );
+                |tracer, (pixels, left)| {
+                    self.cancel.check()?;
+                    tracer.render(params, [left, top], columns_of_tile(self.width, left), pixels);
+                    Ok(())
+                },
+            )
         });
-        Ok(())
+        // A frame that was cancelled is dropped, since its pixels are of two frames.
+        if traced.is_err() {
+            (self.width, self.height) = (0, 0);
+        }
+        traced
     }
 
     fn limited_pixels(&self) -> Result<u64> {
@@ -133,13 +148,13 @@ impl Tracer for Cpu {
 
     fn closest_hits(&mut self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> Result<Vec<HitRecord>> {
         let mut hits = bytemuck::zeroed_vec(rays.len());
-        self.closest_hits_into(arrays, rays, ray_mask, &mut hits);
+        self.closest_hits_into(arrays, rays, ray_mask, &mut hits)?;
         Ok(hits)
     }
 
     fn any_hits(&mut self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> Result<Vec<bool>> {
         let mut hits = vec![false; rays.len()];
-        self.any_hits_into(arrays, rays, ray_mask, &mut hits);
+        self.any_hits_into(arrays, rays, ray_mask, &mut hits)?;
         Ok(hits)
     }
 }
@@ -151,28 +166,57 @@ impl Cpu {
     /// Each 16 consecutive rays form a packet, which is traversed as one while its rays visit the same nodes. Order
     /// rays so that neighbours in the slice have similar origins and directions.
     ///
+    /// # Errors
+    /// [`Error::Cancelled`](crate::Error::Cancelled); some of the hits are then written.
+    ///
     /// # Panics
     /// If `hits` and `rays` differ in length.
-    pub fn closest_hits_into(&self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32, hits: &mut [HitRecord]) {
+    pub fn closest_hits_into(
+        &self,
+        arrays: &DeviceArrays,
+        rays: &[RayRecord],
+        ray_mask: u32,
+        hits: &mut [HitRecord],
+    ) -> Result<()> {
         assert_eq!(rays.len(), hits.len(), "`hits` and `rays` must have the same length");
         let scene = KernelScene::with_traversal(arrays, Traversal::Wide);
         let tasks = rays.par_chunks(RAYS_PER_TASK).zip(hits.par_chunks_mut(RAYS_PER_TASK));
-        tasks.for_each_init(
+        tasks.try_for_each_init(
             || PacketTracer::new(&scene),
-            |tracer, (rays, hits)| tracer.closest_hits(rays, ray_mask, hits),
-        );
+            |tracer, (rays, hits)| {
+                self.cancel.check()?;
+                tracer.closest_hits(rays, ray_mask, hits);
+                Ok(())
+            },
+        )
     }
 
     /// As [`any_hits`](Tracer::any_hits), but writes the results into `hits`, so that a caller can reuse its
     /// allocation. Order rays as for [`closest_hits_into`](Self::closest_hits_into).
     ///
+    /// # Errors
+    /// [`Error::Cancelled`](crate::Error::Cancelled); some of the results are then written.
+    ///
     /// # Panics
     /// If `hits` and `rays` differ in length.
-    pub fn any_hits_into(&self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32, hits: &mut [bool]) {
+    pub fn any_hits_into(
+        &self,
+        arrays: &DeviceArrays,
+        rays: &[RayRecord],
+        ray_mask: u32,
+        hits: &mut [bool],
+    ) -> Result<()> {
         assert_eq!(rays.len(), hits.len(), "`hits` and `rays` must have the same length");
         let scene = KernelScene::with_traversal(arrays, Traversal::Wide);
         let tasks = rays.par_chunks(RAYS_PER_TASK).zip(hits.par_chunks_mut(RAYS_PER_TASK));
-        tasks.for_each_init(|| PacketTracer::new(&scene), |tracer, (rays, hits)| tracer.any_hits(rays, ray_mask, hits));
+        tasks.try_for_each_init(
+            || PacketTracer::new(&scene),
+            |tracer, (rays, hits)| {
+                self.cancel.check()?;
+                tracer.any_hits(rays, ray_mask, hits);
+                Ok(())
+            },
+        )
     }
 }
 

@@ -6,9 +6,9 @@ use wgpu::util::DeviceExt as _;
 
 use super::context::Context;
 use super::scene::{largest_buffer, storage_entry};
-use crate::Result;
 use crate::device::layout::{HitRecord, RayBatch, RayRecord};
 use crate::error::{Resource, require, require_within};
+use crate::{Cancel, Result};
 
 /// Operation named in errors.
 pub(super) const OPERATION: &str = "tracing rays";
@@ -95,6 +95,7 @@ impl BatchBuffers {
     ) -> Result<Vec<T>> {
         let mut results = Vec::with_capacity(rays.len());
         for rays in rays.chunks(self.capacity) {
+            context.cancel.as_ref().map_or(Ok(()), Cancel::check)?;
             // Write the parameters and the rays.
             let count = rays.len() as u32;
             let params = RayBatch::new(0, count, ray_mask);

@@ -9,7 +9,7 @@ use wgpu::{BufferUsages, ErrorFilter};
 
 use super::adapter::describe;
 use crate::trace::DeviceInfo;
-use crate::{Error, Result};
+use crate::{Cancel, Error, Result};
 
 /// Device, queue, limits and error state.
 #[derive(Debug)]
@@ -18,6 +18,8 @@ pub(super) struct Context {
     pub(super) queue: wgpu::Queue,
     pub(super) info: DeviceInfo,
     pub(super) limits: wgpu::Limits,
+    /// The token that stops frames and batches of rays.
+    pub(super) cancel: Option<Cancel>,
     /// Why the device was lost, if it was; every later operation fails.
     lost_reason: Arc<OnceLock<String>>,
     /// First uncaptured error not yet reported by a call.
@@ -28,7 +30,8 @@ impl Context {
     pub(super) fn new(device: wgpu::Device, queue: wgpu::Queue) -> Self {
         let info = DeviceInfo { executor: "gpu", name: describe(&device.adapter_info()) };
         let limits = device.limits();
-        Self { device, queue, info, limits, lost_reason: Arc::default(), uncaptured_error: Arc::default() }
+        let (lost_reason, uncaptured_error) = Default::default();
+        Self { device, queue, info, limits, cancel: None, lost_reason, uncaptured_error }
     }
 
     /// Installs callbacks for errors that no scope captures and for the loss of the device. A device has one callback
@@ -123,13 +126,33 @@ impl Context {
         })
     }
 
-    /// Records commands and submits them.
-    pub(super) fn submit(&self, during: &'static str, record: impl FnOnce(&mut wgpu::CommandEncoder)) -> Result<()> {
+    /// Records commands and submits them. Returns the submission, to [wait for](Self::wait_for) it.
+    pub(super) fn submit(
+        &self,
+        during: &'static str,
+        record: impl FnOnce(&mut wgpu::CommandEncoder),
+    ) -> Result<wgpu::SubmissionIndex> {
         let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         record(&mut encoder);
-        let submission_index = Some(self.queue.submit([encoder.finish()]));
+        let submission = self.queue.submit([encoder.finish()]);
         // A zero-timeout poll detects a lost device without blocking.
-        match self.poll(during, wgpu::PollType::Wait { submission_index, timeout: Some(Duration::ZERO) })? {
+        self.poll_submission(during, submission.clone(), Some(Duration::ZERO))?;
+        Ok(submission)
+    }
+
+    /// Blocks until the GPU has finished a submission and all before it.
+    pub(super) fn wait_for(&self, during: &'static str, submission: wgpu::SubmissionIndex) -> Result<()> {
+        self.poll_submission(during, submission, None)
+    }
+
+    /// Waits for a submission, but not longer than `timeout`.
+    fn poll_submission(
+        &self,
+        during: &'static str,
+        submission: wgpu::SubmissionIndex,
+        timeout: Option<Duration>,
+    ) -> Result<()> {
+        match self.poll(during, wgpu::PollType::Wait { submission_index: Some(submission), timeout })? {
             Err(wgpu::PollError::WrongSubmissionIndex(..)) => Err(lost(during)),
             Ok(_) | Err(wgpu::PollError::Timeout) => Ok(()),
         }

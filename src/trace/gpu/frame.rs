@@ -25,6 +25,10 @@ const RAYS_PER_DISPATCH: u64 = 1 << 23;
 /// Cap on pixels per dispatch, as rays in large scenes are slow.
 const PIXELS_PER_DISPATCH: u64 = 1 << 18;
 
+/// The most dispatches of a frame that run or wait on the GPU where the frame can be cancelled: nothing stops those.
+/// One more than the one that runs keeps the GPU busy.
+const MAX_DISPATCHES_AHEAD: usize = 2;
+
 /// Rows of pixels per workgroup; a dispatch traces whole workgroups.
 const WORKGROUP_ROWS: u32 = 8;
 
@@ -172,7 +176,8 @@ impl FrameTextures {
     }
 
     /// Dispatches the frame in bands of rows. A new pipeline first gets an empty dispatch, so that driver compilation
-    /// is not part of the measured time.
+    /// is not part of the measured time. With a token, it stays at most [`MAX_DISPATCHES_AHEAD`] bands ahead of the
+    /// GPU; without one it submits all bands and does not wait.
     pub(super) fn trace(
         &self,
         context: &Context,
@@ -196,14 +201,21 @@ impl FrameTextures {
             context.submit(TRACING, |encoder| dispatch(encoder, &Band { offset: 0, workgroups: [1, 1] }, None))?;
         }
         // Submit band by band; the first and the last write the timestamps.
+        let mut submissions = Vec::with_capacity(bands.len());
         for (i, band) in bands.iter().enumerate() {
+            if let Some(cancel) = &context.cancel {
+                if let Some(earlier) = i.checked_sub(MAX_DISPATCHES_AHEAD) {
+                    context.wait_for(TRACING, wgpu::SubmissionIndex::clone(&submissions[earlier]))?;
+                }
+                cancel.check()?;
+            }
             let [is_first, is_last] = [i == 0, i + 1 == bands.len()];
-            context.submit(TRACING, |encoder| {
+            submissions.push(context.submit(TRACING, |encoder| {
                 dispatch(encoder, band, timer.and_then(|timer| timer.writes(is_first, is_last)));
                 if let (true, Some(timer)) = (is_last, timer) {
                     timer.resolve(encoder);
                 }
-            })?;
+            })?);
         }
         Ok(())
     }

@@ -19,7 +19,7 @@ use crate::image::Image;
 use crate::trace::frame_buffer::FrameBuffer;
 use crate::trace::shader::{EntryPoint, Include};
 use crate::trace::{DeviceInfo, FrameRequest, Tracer, Traversal};
-use crate::{Error, Result};
+use crate::{Cancel, Error, Result};
 
 /// Traces rays on a GPU, through wgpu.
 ///
@@ -231,6 +231,10 @@ const BATCH_NEEDS: Needs = Needs::all();
 impl Tracer for GpuTracer {
     fn device(&self) -> &DeviceInfo {
         &self.context.info
+    }
+
+    fn set_cancel(&mut self, cancel: Option<Cancel>) {
+        self.context.cancel = cancel;
     }
 
     fn upload(&mut self, arrays: &mut DeviceArrays) -> Result<u64> {

@@ -5,17 +5,19 @@ use rayon::prelude::*;
 use super::cluster::{ChildCluster, Cluster, ClusterKind};
 use super::clustering::{MergeRecord, build};
 use super::morton::MortonOrder;
+use crate::Cancel;
 use crate::accel::tree::{BuildNode, BuildTree, PrimitiveReference};
 use crate::math::Aabb;
 
-/// Builds a tree with one reference in each leaf; pruning merges leaves where that is cheaper. O(n log n).
-pub(in crate::accel) fn build_tree(references: &[PrimitiveReference]) -> BuildTree {
+/// Builds a tree with one reference in each leaf; pruning merges leaves where that is cheaper. O(n log n). Once
+/// cancelled, it leaves references out.
+pub(in crate::accel) fn build_tree(references: &[PrimitiveReference], cancel: &Cancel) -> BuildTree {
     // 1. Sort the boxes along a Morton curve.
     let boxes: Vec<Aabb> = references.par_iter().with_min_len(CHUNK).map(|r| r.bounds().aabb()).collect();
     let order = MortonOrder::new(&boxes);
     // 2. Merge neighbours until one cluster is left; each merge writes its two children as a pair of build nodes.
     let mut nodes: Vec<BuildNode> = bytemuck::zeroed_vec(1 + 2 * order.len());
-    match build::<[BuildNode; 2]>(&order, bytemuck::cast_slice_mut(&mut nodes[1..])) {
+    match build::<[BuildNode; 2]>(&order, bytemuck::cast_slice_mut(&mut nodes[1..]), cancel) {
         Some(root) => nodes[0] = build_node(root),
         None => nodes.clear(),
     }

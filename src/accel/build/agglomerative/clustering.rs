@@ -2,6 +2,7 @@
 
 use super::cluster::{ChildCluster, Cluster};
 use super::morton::MortonOrder;
+use crate::Cancel;
 use crate::accel::tree::{ReferenceBounds, SimdAabb};
 
 /// Ranges of fewer boxes are built by one thread.
@@ -19,10 +20,15 @@ pub(in crate::accel) trait MergeRecord: Copy + Send {
 }
 
 /// Merges all boxes into one cluster, writing a record of each merge to `merges`. Returns the root, or `None` without
-/// boxes. O(n log n): the logarithm is the binary search for the split of each range.
-pub(in crate::accel) fn build<R: MergeRecord>(order: &MortonOrder, merges: &mut [R]) -> Option<ChildCluster> {
+/// boxes. O(n log n): the logarithm is the binary search for the split of each range. Once cancelled, it leaves boxes
+/// out.
+pub(in crate::accel) fn build<R: MergeRecord>(
+    order: &MortonOrder,
+    merges: &mut [R],
+    cancel: &Cancel,
+) -> Option<ChildCluster> {
     // 1. Scale areas to the size of the scene.
-    let builder = ClusterBuilder { order, scale: scene_scale(order.extent()) };
+    let builder = ClusterBuilder { order, scale: scene_scale(order.extent()), cancel };
     let root = match order.len() {
         0 => return None,
         // 2. Merge the whole range down to one or two clusters.
@@ -47,6 +53,7 @@ fn scene_scale(extent: &ReferenceBounds) -> f32 {
 struct ClusterBuilder<'a> {
     order: &'a MortonOrder,
     scale: f32,
+    cancel: &'a Cancel,
 }
 
 /// The one or two clusters that a range leaves unmerged.
@@ -65,6 +72,10 @@ impl ClusterBuilder<'_> {
         match end - first {
             // One or two boxes: nothing to merge yet.
             1 => RemainingClusters { clusters: [single(first); 2], count: 1 },
+            // Cancelled: one box stands for the whole range.
+            count if count >= TASK_MINIMUM && self.cancel.should_stop() => {
+                RemainingClusters { clusters: [single(first); 2], count: 1 }
+            }
             2 => RemainingClusters { clusters: [single(first), single(first + 1)], count: 2 },
             count => {
                 // 1. Halve the range where the curve passes into the other half of a cell.
