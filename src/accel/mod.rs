@@ -13,9 +13,9 @@
 //! indices, and `blas::collapse` as 8-wide nodes.
 //!
 //! Guarantees, for any finite input:
-//! - Every primitive is in exactly one leaf. With spatial splits ([`Blas::has_duplicates`]) it may be in several leaves
-//!   instead, whose boxes together cover it. Each node's box contains everything below it with a margin for rounding,
-//!   and has a positive extent along every axis.
+//! - Every primitive that can be hit is in exactly one leaf, but of triangles that coincide only the first. With
+//!   spatial splits ([`Blas::has_duplicates`]) it may be in several leaves instead, whose boxes together cover it. Each
+//!   node's box contains everything below it with a margin for rounding, and has a positive extent along every axis.
 //! - No bottom-level hierarchy is deeper than [`MAX_BLAS_DEPTH`], no top-level one that is built here than
 //!   [`Tlas::MAX_DEPTH`].
 //! - The same input gives the same arrays, whatever the number of threads.
@@ -31,6 +31,7 @@ mod validate;
 
 pub use blas::{Blas, BlasBuildParams, MAX_CHILDREN, MAX_WIDE_DEPTH};
 pub(crate) use blas::{RefitReport, refit};
+pub(crate) use build::coincident::MergedTriangles;
 pub use stats::BvhStats;
 pub use support::SupportFunction;
 pub use tlas::{RebuildReason, Tlas, TlasUpdate};

@@ -236,6 +236,11 @@ impl ReferenceBounds {
         self.bounds.aabb()
     }
 
+    /// Whether all centres coincide.
+    pub(super) fn has_one_center(&self) -> bool {
+        self.centers.min.truncate() == self.centers.max.truncate()
+    }
+
     pub(super) fn from_references(references: &[PrimitiveReference]) -> Self {
         references.iter().fold(Self::EMPTY, Self::extended_by)
     }

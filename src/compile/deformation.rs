@@ -94,7 +94,8 @@ pub(super) fn choose_action(structure: BlasKind, old: &Geometry, new: &Geometry)
 pub struct BlasBuildReasons {
     /// The geometry came into use.
     pub new: usize,
-    /// The geometry's list of triangles changed, or a triangle became or ceased to be degenerate.
+    /// The geometry's list of triangles changed, a triangle became or ceased to be degenerate, or one ceased to
+    /// coincide with another.
     pub triangles_changed: usize,
     /// Refitting had raised the SAH cost to more than 1.25 times the cost after the last build.
     pub cost_grown: usize,

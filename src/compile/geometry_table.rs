@@ -12,7 +12,7 @@ use super::deformation::{
 };
 use super::users::SlotsByKey;
 use super::vertex_streams::{StreamRanges, VertexStreamTable};
-use crate::accel::{Blas, BlasBuildParams, RefitReport, SupportFunction, refit};
+use crate::accel::{Blas, BlasBuildParams, MergedTriangles, RefitReport, SupportFunction, refit};
 use crate::device::DeviceArrays;
 use crate::graph::{BlasKind, Enclosure, Geometry, GeometryKey, Scene};
 use crate::{Cancel, Result};
@@ -55,6 +55,8 @@ pub(super) struct GeometryEntry {
     pub(super) support: SupportFunction,
     /// Whether some triangle is in several leaves.
     pub(super) has_duplicates: bool,
+    /// The triangles that are left out of the structure because they coincide with others.
+    merged: MergedTriangles,
     /// The geometry as last written; its arrays are shared with the scene (`Arc`).
     geometry: Geometry,
     /// Whether `geometry` encloses a volume, once that was asked for.
@@ -211,8 +213,10 @@ impl GeometryTable {
         let triangles = disjoint_mut(arrays.triangles.as_mut_slice_without_marking(), &triangle_ranges);
         let refitted: Vec<Option<(RefitReport, SupportFunction)>> = (jobs.par_iter(), nodes, wide_nodes, triangles)
             .into_par_iter()
-            .map(|(&(_, geometry), nodes, wide_nodes, triangles)| {
-                let refitted = refit(nodes, wide_nodes, triangles, geometry, BlasBuildParams::default().triangle_cost)?;
+            .map(|(&(key, geometry), nodes, wide_nodes, triangles)| {
+                let merged = self.entries[key].merged.count();
+                let triangle_cost = BlasBuildParams::default().triangle_cost;
+                let refitted = refit(nodes, wide_nodes, triangles, geometry, merged, triangle_cost)?;
                 let support = SupportFunction::coarse(nodes, triangles, refitted.bounds);
                 Some((refitted, support))
             })
@@ -302,6 +306,7 @@ impl GeometryTable {
             self.triangles.replace(&mut arrays.triangles, &mut entry.triangles, &blas.triangles)?;
             (entry.structure, entry.built_cost, entry.support) = (structure, None, support);
             entry.has_duplicates = blas.has_duplicates;
+            entry.merged = blas.merged().clone();
         }
         Ok(())
     }
@@ -331,6 +336,7 @@ impl GeometryEntry {
             streams: StreamRanges::default(),
             support: SupportFunction::default(),
             has_duplicates: false,
+            merged: MergedTriangles::default(),
             geometry: Geometry::default(),
             is_solid: OnceLock::new(),
         }
@@ -340,7 +346,12 @@ impl GeometryEntry {
     fn note_version(&mut self, geometry: &Geometry, version: u64, compile_index: u64) {
         self.version = version;
         self.history.record_change(compile_index);
-        let action = choose_action(self.structure, &self.geometry, geometry);
+        let action = match choose_action(self.structure, &self.geometry, geometry) {
+            BlasAction::Build(reason) => BlasAction::Build(reason),
+            // A triangle that was left out no longer coincides with the one that stands for it.
+            _ if !self.merged.still_coincide(geometry) => BlasAction::Build(BuildReason::TrianglesChanged),
+            action => action,
+        };
         // What was pending for an earlier version is still needed: a refit may have been done, and is to be undone.
         self.pending = Some(match (self.pending, action) {
             (Some(pending @ BlasAction::Build(_)), _) | (Some(pending @ BlasAction::Refit), BlasAction::Keep) => {

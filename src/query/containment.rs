@@ -25,9 +25,9 @@ impl Queries<'_> {
     }
 
     /// The nodes with a closed geometry that contains the point: a ray from it crosses the triangles an odd number of
-    /// times. Alpha masks and culling are ignored. The result is unspecified for geometry that is not closed, and for a
-    /// point closer to the surface than the rounding of positions. O(log triangles) on average for each box that
-    /// contains the point.
+    /// times, triangles that [coincide](crate::accel::Blas::build) once. Alpha masks and culling are ignored. The
+    /// result is unspecified for geometry that is not closed, and for a point closer to the surface than the rounding
+    /// of positions. O(log triangles) on average for each box that contains the point.
     ///
     /// # Errors
     /// As [`boxes_containing`](Self::boxes_containing).

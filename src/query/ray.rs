@@ -82,8 +82,9 @@ impl Queries<'_> {
         Ok(any)
     }
 
-    /// All hits by distance, ties in the order that [`closest_hit`](Self::closest_hit) prefers. O(log triangles + hits)
-    /// on average.
+    /// All hits by distance, ties in the order that [`closest_hit`](Self::closest_hit) prefers. Of triangles of one
+    /// geometry that [coincide](crate::accel::Blas::build) the first stands for all. O(log triangles + hits) on
+    /// average.
     ///
     /// # Errors
     /// As [`Ray::validate`].

@@ -20,6 +20,7 @@ pub(crate) fn adversarial() -> Vec<(&'static str, Mesh)> {
         ("two triangles", Mesh::soup(2, 2)),
         ("sixteen triangles", Mesh::soup(3, 16)),
         ("identical triangles", identical(1000)),
+        ("coincident among others", coincident()),
         ("concentric triangles", concentric(300)),
         ("triangles without area", without_area()),
         ("needles", needles(600)),
@@ -58,8 +59,27 @@ pub(crate) fn identical(count: usize) -> Mesh {
     Mesh { positions, indices: vec![[0, 1, 2]; count] }
 }
 
+/// Triangles of which each is there many times, from each of its corners and in both windings, among others.
+pub(crate) fn coincident() -> Mesh {
+    let mut mesh = Mesh::soup(15, 400);
+    let triangles = mesh.indices.clone();
+    for (i, [a, b, c]) in triangles.into_iter().enumerate().step_by(2) {
+        // Some have the same vertices, others have vertices of their own.
+        let mut vertex = |v: u32| {
+            if i % 4 == 0 {
+                return v;
+            }
+            mesh.positions.push(mesh.positions[v as usize]);
+            mesh.positions.len() as u32 - 1
+        };
+        let [d, e, f] = [a, b, c].map(&mut vertex);
+        mesh.indices.extend([[d, e, f], [e, f, d], [f, d, e], [d, f, e], [e, d, f], [a, b, c]]);
+    }
+    mesh
+}
+
 /// Triangles whose boxes all have the same centre.
-fn concentric(count: u32) -> Mesh {
+pub(crate) fn concentric(count: u32) -> Mesh {
     from_triangles((1..=count).map(|i| {
         let r = i as f32;
         [Vec3::new(-r, -r, -r), Vec3::new(r, r, -r), Vec3::new(r, -r, r)]

@@ -17,6 +17,7 @@ use self::flatten::flatten;
 pub use self::prune::MAX_CHILDREN;
 use self::prune::PrunedTree;
 pub(crate) use self::refit::{RefitReport, refit};
+use super::build::coincident::{CoincidentTriangles, MergedTriangles};
 use super::build::{build_tree, triangle_references};
 use super::stats::BvhStats;
 use super::tree::{PARALLEL_SUBTREE_THRESHOLD, SahParams};
@@ -42,6 +43,8 @@ pub struct Blas {
     /// `triangles` once for each: queries that count hits or multiply transmittance must count a triangle once.
     pub has_duplicates: bool,
     triangle_cost: f32,
+    /// The triangles that are not in `triangles` since they coincide with others.
+    merged: MergedTriangles,
 }
 
 /// How a [`Blas`] is built.
@@ -111,6 +114,14 @@ impl Blas {
     /// - [`BlasKind::KdTree`]: spatial splits wherever possible until there are twice as many references as triangles,
     ///   object splits after that; planes are chosen by the SAH, and node boxes are clipped to their contents.
     ///
+    /// Of triangles that coincide, the one of the lowest index stands for all, and the others are left out: triangles
+    /// whose corners have the same positions, texture coordinates and colours, in the same winding, from whichever
+    /// corner on. It would win at equal distance anyway, with one difference: light that passes is dimmed once by all
+    /// of them. Triangles of opposite winding, of which a ray may cull one, are both kept.
+    ///
+    /// Triangles with two equal corners are left out: no ray hits them. Other degenerate triangles (three distinct
+    /// collinear corners) stay in the leaves, and the triangle test rejects them.
+    ///
     /// # Errors
     /// [`Error::InvalidGeometry`](crate::Error::InvalidGeometry) as [`Geometry::validate`] says. Geometry that a scene
     /// holds is valid.
@@ -142,8 +153,9 @@ impl Blas {
             max_leaf_size: params.max_leaf_size.clamp(1, PrimitiveRange::MAX_COUNT) as usize,
             primitive_cost: params.triangle_cost,
         };
+        let coincident = CoincidentTriangles::new(geometry);
         let mut build_nodes = |structure: BlasKind| {
-            let tree = build_tree(geometry, &mut references, &extent, structure, &sah_params, cancel)?;
+            let tree = build_tree(geometry, &mut references, &extent, structure, &sah_params, &coincident, cancel)?;
             let Some(pruned) = PrunedTree::new(&tree, &sah_params) else { return Ok(None) };
             cancel.check()?;
             Ok(Some(pruned.join_near_root(0, || flatten(&pruned), || collapse(&pruned))))
@@ -156,7 +168,8 @@ impl Blas {
         cancel.check()?;
         // 3. Copy the triangles in leaf order.
         let triangles = flat.primitive_indices.par_iter().with_min_len(CHUNK).map(|&p| triangle(geometry, p)).collect();
-        let has_duplicates = flat.primitive_indices.len() > count;
+        let merged = coincident.finish();
+        let has_duplicates = flat.primitive_indices.len() > count - merged.count();
         let blas = Self {
             nodes: flat.nodes,
             wide_nodes,
@@ -164,6 +177,7 @@ impl Blas {
             bounds: extent.aabb(),
             has_duplicates,
             triangle_cost: params.triangle_cost,
+            merged,
         };
         debug_assert_eq!(blas.validate(), Ok(()));
         Ok(blas)
@@ -172,19 +186,21 @@ impl Blas {
     /// Refits the structure to `geometry`, which must have the same triangles with other corner positions. Boxes are
     /// recomputed; the hierarchy stays. O(n) on all threads of the current rayon pool, about a fifth of a build's time.
     ///
-    /// Returns false if a rebuild is needed: a triangle became or ceased to be degenerate, or the structure has
-    /// duplicates ([`Quality::High`], [`BlasKind::KdTree`]: their leaves hold clipped triangles, and unclipped ones
-    /// would make its boxes worse than those of a rebuild). The contents are unspecified after a degenerate triangle,
-    /// unchanged for duplicates.
+    /// Returns false if a rebuild is needed: a triangle became or ceased to be degenerate, one that was left out no
+    /// longer coincides with the one that stands for it, or the structure has duplicates ([`Quality::High`],
+    /// [`BlasKind::KdTree`]: their leaves hold clipped triangles, and unclipped ones would make its boxes worse than
+    /// those of a rebuild). Triangles that have come to coincide are all kept until the next build. The contents are
+    /// unspecified after a degenerate triangle, unchanged otherwise.
     ///
     /// The structure gets worse the more the geometry deforms: compare [`stats`](Self::stats) with those after the
     /// build.
     #[must_use]
     pub fn refit(&mut self, geometry: &Geometry) -> bool {
-        if self.has_duplicates {
+        if self.has_duplicates || !self.merged.still_coincide(geometry) {
             return false;
         }
-        let refitted = refit(&mut self.nodes, &mut self.wide_nodes, &mut self.triangles, geometry, self.triangle_cost);
+        let Self { nodes, wide_nodes, triangles, merged, triangle_cost, .. } = self;
+        let refitted = refit(nodes, wide_nodes, triangles, geometry, merged.count(), *triangle_cost);
         if let Some(refitted) = &refitted {
             self.bounds = refitted.bounds;
             debug_assert_eq!(self.validate(), Ok(()));
@@ -226,6 +242,16 @@ impl Blas {
         }
         parts.sort_by_key(|(triangle, _)| triangle.primitive);
         parts.chunk_by(|(a, _), (b, _)| a.primitive == b.primitive).try_for_each(check_duplicates)
+    }
+
+    /// How many triangles of the geometry were left out because they [coincide](Self::build) with others.
+    pub fn coincident_count(&self) -> usize {
+        self.merged.count()
+    }
+
+    /// The triangles that were left out because they coincide with others.
+    pub(crate) fn merged(&self) -> &MergedTriangles {
+        &self.merged
     }
 
     /// Measures size and quality. O(n); O(n log n) for a structure with [duplicates](Self::has_duplicates).

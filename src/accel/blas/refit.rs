@@ -39,17 +39,20 @@ pub(crate) struct RefitReport {
 /// children's.
 ///
 /// `None` if the structure must be rebuilt, since its triangles are no longer the hittable ones of the geometry: some
-/// became, or ceased to be, degenerate (two equal corners). Callers must not pass a structure with duplicates. After
-/// `None` the arrays hold unspecified values.
+/// became, or ceased to be, degenerate (two equal corners). `merged` is how many triangles were left out because they
+/// coincide with others; callers must have checked that they still do, and must not pass a structure with duplicates.
+/// After `None` the arrays hold unspecified values.
 pub(crate) fn refit(
     nodes: &mut [Node],
     wide_nodes: &mut [WideNode],
     triangles: &mut [Triangle],
     geometry: &Geometry,
+    merged: usize,
     triangle_cost: f32,
 ) -> Option<RefitReport> {
     // 1. Give up if the number of hittable triangles has changed.
-    if triangles.len() != geometry.indices.len() && triangles.len() != count_non_degenerate(geometry) {
+    let hittable = triangles.len() + merged;
+    if hittable != geometry.indices.len() && hittable != count_non_degenerate(geometry) {
         return None;
     }
     // 2. Refit subtrees in parallel, each with its own triangles.
@@ -303,7 +306,7 @@ mod tests {
         for mut nodes in [blas.nodes.clone(), thinned(&blas.nodes)] {
             let mut triangles = blas.triangles.clone();
             let old_cost = BvhStats::of(&nodes, COST).sah_cost;
-            let refitted = refit(&mut nodes, &mut [], &mut triangles, &sheet(1.0), COST).unwrap();
+            let refitted = refit(&mut nodes, &mut [], &mut triangles, &sheet(1.0), 0, COST).unwrap();
             let valid = validate_nodes(&nodes, |range| {
                 let first = range.first_primitive() as usize;
                 let bounds = triangle_bounds(&triangles[first..first + range.primitive_count() as usize]);
@@ -328,7 +331,7 @@ mod tests {
         let mut geometry = sheet(0.0);
         geometry.positions =
             geometry.positions.iter().enumerate().map(|(i, p)| if i == 5 { *p * 0.99 } else { *p }).collect();
-        let refitted = refit(&mut blas.nodes, &mut blas.wide_nodes, &mut blas.triangles, &geometry, COST).unwrap();
+        let refitted = refit(&mut blas.nodes, &mut blas.wide_nodes, &mut blas.triangles, &geometry, 0, COST).unwrap();
         let told = |ranges: &[Range<usize>], i: usize| ranges.iter().any(|range| range.contains(&i));
         for (i, (new, old)) in blas.nodes.iter().zip(&before.nodes).enumerate() {
             assert!(new == old || told(&refitted.changed_nodes, i), "node {i}");
@@ -338,7 +341,7 @@ mod tests {
         }
         let count: usize = refitted.changed_triangles.iter().map(ExactSizeIterator::len).sum();
         assert!(count > 0 && count < blas.triangles.len() / 2, "{count} of {}", blas.triangles.len());
-        let nothing = refit(&mut blas.nodes, &mut blas.wide_nodes, &mut blas.triangles, &geometry, COST).unwrap();
+        let nothing = refit(&mut blas.nodes, &mut blas.wide_nodes, &mut blas.triangles, &geometry, 0, COST).unwrap();
         assert!(nothing.changed_nodes.is_empty() && nothing.changed_triangles.is_empty());
     }
 }

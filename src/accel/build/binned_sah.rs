@@ -4,6 +4,7 @@
 //! split. The result depends on the input alone, not on the number of threads: unions of boxes are exact in any order,
 //! partitioning is stable, and the duplicate budget of a node is divided between its children before they are built.
 
+use super::coincident::CoincidentTriangles;
 use super::object_bins::{BinMapping, ObjectBins, ObjectSplit, PARALLEL_BINNING_THRESHOLD};
 use super::partition::{partition, partition_parallel};
 use super::spatial_split::{self, SpatialSplit, SpatialSplits};
@@ -20,6 +21,7 @@ pub(super) fn build(
     extent: &ReferenceBounds,
     params: &SahParams,
     splits: Option<SpatialSplits<'_>>,
+    coincident: &CoincidentTriangles<'_>,
     cancel: &Cancel,
 ) -> BuildTree {
     let count = references.len();
@@ -36,7 +38,7 @@ pub(super) fn build(
     // 3. Collect the constants of the build.
     let root_scale = normalizing_scale(&extent.bounds);
     let min_overlap_area = MIN_OVERLAP * extent.bounds.half_area(root_scale);
-    let context = BuildContext { params, spatial_splits: splits, min_overlap_area, root_scale, cancel };
+    let context = BuildContext { params, spatial_splits: splits, min_overlap_area, root_scale, coincident, cancel };
     // 4. Build from the root.
     let root = BuildRecord {
         references: &mut references,
@@ -45,6 +47,7 @@ pub(super) fn build(
         count,
         extent,
         slots: SubtreeSlots { first_node: 1, first_primitive: 0, depth: 0 },
+        is_merged: false,
     };
     let (root_node, below) = nodes.split_at_mut(1);
     root_node[0] = root.build_subtree(below, &mut WorkerScratch::new(&context)).0;
@@ -64,6 +67,7 @@ struct BuildContext<'a> {
     min_overlap_area: f32,
     /// The [`normalizing_scale`] of the root, in whose units `min_overlap_area` is measured.
     root_scale: f32,
+    coincident: &'a CoincidentTriangles<'a>,
     cancel: &'a Cancel,
 }
 
@@ -78,6 +82,8 @@ struct BuildRecord<'a> {
     count: usize,
     extent: &'a ReferenceBounds,
     slots: SubtreeSlots,
+    /// Whether no two of its triangles coincide, since they were merged above.
+    is_merged: bool,
 }
 
 /// Where the subtree's nodes and primitive indices go in the tree's arrays.
@@ -113,7 +119,10 @@ impl BuildRecord<'_> {
     /// [`MAX_BLAS_DEPTH`](crate::accel::MAX_BLAS_DEPTH) deep.
     fn build_subtree(self, below: &mut [BuildNode], worker: &mut WorkerScratch) -> BuiltSubtree {
         let params = worker.context.params;
-        // 1. One or two references need no search.
+        // 1. Triangles that coincide are the same one. One or two references need no search.
+        if self.count > 1 && self.extent.has_one_center() && !self.is_merged {
+            return self.merge_coincident(worker.context).build_subtree(below, worker);
+        }
         if self.count == 1 {
             return self.make_leaf();
         }
@@ -131,16 +140,18 @@ impl BuildRecord<'_> {
         let best_object_split = object_split.as_ref().map(|(split, _)| split);
         if let Some(split) = self.find_spatial_split(best_object_split, scale, worker.context) {
             return match can_be_leaf && self.is_leaf_cheaper(split.cost, scale, params) {
-                true => self.make_leaf(),
+                true => self.make_leaf_of_different(worker.context),
                 false => self.apply_spatial_split(&split, scale, below, worker),
             };
         }
         // 4. Otherwise make a leaf where that is cheaper, apply the object split, or, without one, make a leaf or split
         // at the median.
         match object_split {
-            Some((split, _)) if can_be_leaf && self.is_leaf_cheaper(split.cost, scale, params) => self.make_leaf(),
+            Some((split, _)) if can_be_leaf && self.is_leaf_cheaper(split.cost, scale, params) => {
+                self.make_leaf_of_different(worker.context)
+            }
             Some((split, chunks)) => self.apply_object_split(&split, &chunks, below, worker),
-            None if can_be_leaf => self.make_leaf(),
+            None if can_be_leaf => self.make_leaf_of_different(worker.context),
             None => self.split_at_median(below, worker),
         }
     }
@@ -271,15 +282,22 @@ impl BuildRecord<'_> {
 
     /// Object median split: two halves of equal count along the axis of largest centre extent.
     fn split_at_median(self, below: &mut [BuildNode], worker: &mut WorkerScratch) -> BuiltSubtree {
+        // Coincident triangles must not be separated.
+        if !self.is_merged {
+            return self.merge_coincident(worker.context).build_subtree(below, worker);
+        }
         // 1. Choose the axis of largest centre extent.
         let width = self.extent.centers.max - self.extent.centers.min;
         let axis = if width.x >= width.y && width.x >= width.z { 0 } else { 1 + usize::from(width.z > width.y) };
-        // 2. Select the median, ties by primitive index, so that the result is deterministic.
+        // 2. Select the median, ties by primitive index, so that the result is deterministic. Where all centres
+        // coincide, any two halves will do, as long as they are always the same.
         let (references, middle) = (&mut self.references[..self.count], self.count / 2);
-        references.select_nth_unstable_by(middle, |a, b| {
-            let key = |r: &PrimitiveReference| r.doubled_center()[axis];
-            key(a).total_cmp(&key(b)).then(a.primitive().cmp(&b.primitive()))
-        });
+        if width[axis] != 0.0 {
+            references.select_nth_unstable_by(middle, |a, b| {
+                let key = |r: &PrimitiveReference| r.doubled_center()[axis];
+                key(a).total_cmp(&key(b)).then(a.primitive().cmp(&b.primitive()))
+            });
+        }
         // 3. Bound both sides, and build the children.
         let (left, right) = references.split_at(middle);
         let sides = [left, right].map(|side| (ReferenceBounds::from_references(side), side.len()));
@@ -317,6 +335,7 @@ impl BuildRecord<'_> {
             count: *left_count,
             extent: left_extent,
             slots,
+            is_merged: self.is_merged,
         };
         let mut right = BuildRecord {
             references: right_references,
@@ -325,6 +344,7 @@ impl BuildRecord<'_> {
             count: *right_count,
             extent: right_extent,
             slots: SubtreeSlots { first_primitive: slots.first_primitive + left_capacity, ..slots },
+            is_merged: self.is_merged,
         };
         // 4. Build the children: a small subtree on this thread and without gaps, a large one in parallel in reserved
         // ranges.
@@ -346,6 +366,19 @@ impl BuildRecord<'_> {
             );
         }
         (node, 2 + used)
+    }
+
+    /// Merges the triangles that coincide. All boxes stay, since those of coincident triangles are equal.
+    fn merge_coincident(self, context: &BuildContext) -> Self {
+        let count = context.coincident.merge(&mut self.references[..self.count]);
+        Self { count, is_merged: true, ..self }
+    }
+
+    /// A leaf of a few references, in which triangles with equal centres may coincide.
+    fn make_leaf_of_different(self, context: &BuildContext) -> BuiltSubtree {
+        let centers = || self.active_references().iter().map(|reference| reference.doubled_center().truncate());
+        let may_coincide = || centers().enumerate().any(|(i, center)| centers().take(i).any(|other| other == center));
+        if !self.is_merged && may_coincide() { self.merge_coincident(context).make_leaf() } else { self.make_leaf() }
     }
 
     fn make_leaf(self) -> BuiltSubtree {

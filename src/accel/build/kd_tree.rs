@@ -4,6 +4,7 @@
 //! up, object splits follow.
 
 use super::binned_sah;
+use super::coincident::CoincidentTriangles;
 use super::spatial_split::SpatialSplits;
 use crate::Cancel;
 use crate::accel::tree::{BuildTree, PrimitiveReference, ReferenceBounds, SahParams};
@@ -19,9 +20,10 @@ pub(super) fn build(
     references: Vec<PrimitiveReference>,
     extent: &ReferenceBounds,
     params: &SahParams,
+    coincident: &CoincidentTriangles<'_>,
     cancel: &Cancel,
 ) -> BuildTree {
     let splits = SpatialSplits::new(geometry, extent, references.len(), DUPLICATE_BUDGET);
     let splits = splits.map(|splits| SpatialSplits { spatial_only: true, ..splits });
-    binned_sah::build(references, extent, params, splits, cancel)
+    binned_sah::build(references, extent, params, splits, coincident, cancel)
 }

@@ -7,6 +7,7 @@
 
 pub(super) mod agglomerative;
 mod binned_sah;
+pub(super) mod coincident;
 mod kd_tree;
 mod object_bins;
 mod partition;
@@ -17,6 +18,7 @@ mod triangle_clip;
 use glam::Vec3;
 use rayon::prelude::*;
 
+use self::coincident::CoincidentTriangles;
 use self::reinsertion::{ReinsertionParams, reinsert};
 use self::spatial_split::SpatialSplits;
 use super::tree::{BuildTree, PrimitiveReference, ReferenceBounds, SahParams};
@@ -32,7 +34,8 @@ const HIGH_QUALITY_REINSERTION: ReinsertionParams = ReinsertionParams { iteratio
 
 /// Builds the tree of a structure over `references` to the triangles of `geometry`; their bounds are `extent`. Only the
 /// tree of [`Quality::Low`] may be deeper than [`MAX_BLAS_DEPTH`](super::MAX_BLAS_DEPTH); building it leaves
-/// `references` as they are, while the other builders take them.
+/// `references` as they are but for those to coincident triangles, while the other builders take them. What is left out
+/// of the tree because it coincides with something in it goes to `coincident`.
 ///
 /// Builders look at the token at each large subtree, and leave the rest of the tree unfinished once it has stopped
 /// them.
@@ -45,9 +48,10 @@ pub(super) fn build_tree(
     extent: &ReferenceBounds,
     structure: BlasKind,
     params: &SahParams,
+    coincident: &CoincidentTriangles<'_>,
     cancel: &Cancel,
 ) -> Result<BuildTree> {
-    let tree = build_tree_unless_cancelled(geometry, references, extent, structure, params, cancel);
+    let tree = build_tree_unless_cancelled(geometry, references, extent, structure, params, coincident, cancel);
     cancel.check()?;
     Ok(tree)
 }
@@ -59,25 +63,28 @@ fn build_tree_unless_cancelled(
     extent: &ReferenceBounds,
     structure: BlasKind,
     params: &SahParams,
+    coincident: &CoincidentTriangles<'_>,
     cancel: &Cancel,
 ) -> BuildTree {
     // Low quality: agglomerative clustering.
     if structure == BlasKind::Bvh(Quality::Low) {
-        return agglomerative::build_tree(references, cancel);
+        return agglomerative::build_tree(references, coincident, cancel);
     }
     let references = std::mem::take(references);
     match structure {
         // Medium quality: object splits only.
-        BlasKind::Bvh(Quality::Low | Quality::Medium) => binned_sah::build(references, extent, params, None, cancel),
+        BlasKind::Bvh(Quality::Low | Quality::Medium) => {
+            binned_sah::build(references, extent, params, None, coincident, cancel)
+        }
         // High quality: object and spatial splits, then reinsertion.
         BlasKind::Bvh(Quality::High) => {
             let splits = SpatialSplits::new(geometry, extent, references.len(), HIGH_QUALITY_DUPLICATE_BUDGET);
-            let mut tree = binned_sah::build(references, extent, params, splits, cancel);
+            let mut tree = binned_sah::build(references, extent, params, splits, coincident, cancel);
             reinsert(&mut tree, HIGH_QUALITY_REINSERTION, cancel);
             tree
         }
         // A kd-tree: spatial splits wherever possible.
-        BlasKind::KdTree => kd_tree::build(geometry, references, extent, params, cancel),
+        BlasKind::KdTree => kd_tree::build(geometry, references, extent, params, coincident, cancel),
     }
 }
 

@@ -16,6 +16,8 @@ pub(in crate::accel) struct MortonOrder {
     /// The box of each key, as a cluster of one.
     leaf_clusters: Vec<Cluster>,
     extent: ReferenceBounds,
+    /// The bits of a key that hold the input index.
+    index_bits: u32,
 }
 
 impl MortonOrder {
@@ -43,7 +45,7 @@ impl MortonOrder {
             Cluster::leaf(&boxes[index as usize].clamped_to_finite().unwrap_or(Aabb::EMPTY), index)
         };
         let leaf_clusters = keys.par_iter().with_min_len(CHUNK).map(leaf).collect();
-        Self { keys, leaf_clusters, extent }
+        Self { keys, leaf_clusters, extent, index_bits }
     }
 
     pub(in crate::accel) fn len(&self) -> usize {
@@ -53,6 +55,16 @@ impl MortonOrder {
     /// The boxes as clusters of one, in Morton order.
     pub(in crate::accel) fn leaf_clusters(&self) -> &[Cluster] {
         &self.leaf_clusters
+    }
+
+    /// The runs of at least two boxes of the same Morton code.
+    pub(super) fn equal_codes(&self) -> impl Iterator<Item = &[Cluster]> {
+        let mut first = 0;
+        let runs = self.keys.chunk_by(|a, b| a >> self.index_bits == b >> self.index_bits).map(move |run| {
+            first += run.len();
+            &self.leaf_clusters[first - run.len()..first]
+        });
+        runs.filter(|run| run.len() > 1)
     }
 
     /// Where the range from `first` to `end` (at least two boxes) is halved: at the first key that has the highest
