@@ -13,7 +13,7 @@ pub(crate) const INTERRUPTED: u8 = 130;
 
 /// How long after the first Ctrl+C the program may take to end by itself. What cannot be stopped in between, such as
 /// the encoding of a large image, is then left.
-const PATIENCE: Duration = Duration::from_millis(800);
+const PATIENCE: Duration = Duration::from_millis(600);
 
 /// Installs the handler of Ctrl+C, which cancels the token that is returned. `output` is the image to be written.
 pub(crate) fn cancel_on_interrupt(output: &Path) -> Result<Cancel, String> {
@@ -24,6 +24,7 @@ pub(crate) fn cancel_on_interrupt(output: &Path) -> Result<Cancel, String> {
             exit_now(&folder);
         }
         token.cancel();
+        eprintln!("interrupted");
         let folder = folder.clone();
         thread::spawn(move || {
             thread::sleep(PATIENCE);

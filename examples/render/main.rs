@@ -36,10 +36,7 @@ fn main() -> ExitCode {
     };
     match run(&arguments, &cancel) {
         Ok(()) => ExitCode::SUCCESS,
-        Err(_) if cancel.is_cancelled() => {
-            eprintln!("interrupted");
-            ExitCode::from(interrupt::INTERRUPTED)
-        }
+        Err(_) if cancel.is_cancelled() => ExitCode::from(interrupt::INTERRUPTED),
         Err(message) => fail(&message),
     }
 }
