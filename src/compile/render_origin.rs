@@ -23,20 +23,20 @@ pub(super) fn free_distance(scene: &Bounds, eye: DVec3) -> f64 {
     (scene.radius() / 256.0).max(to_scene * 16.0)
 }
 
-/// The render origin for an eye that may go this far: the grid point next to it.
+/// The render origin for an eye that may go this far: the grid point beside it, on the side of the world's origin.
 ///
 /// The grid's step is 2^-14 of the eye's greatest coordinate, rounded down to a power of two: f32 holds the origin in
-/// 16 of its 24 bits, and the eye is within 6e-5 of its distance from the world's origin. It is not more than 1/4 of
-/// the free distance: so in a scene that is far smaller than its distance from the world's origin the step is finer,
+/// 16 of its 24 bits, and is within 2^-13 of the eye's distance from the world's origin. It is not more than 1/8 of the
+/// free distance: so in a scene that is far smaller than its distance from the world's origin the step is finer,
 /// and the origin has more bits; where those are more than 24, no point in the scene's reach is one that f32 holds.
 ///
 /// Without a scene, the free distance being infinite, the origin depends on the eye alone; so in most scenes it does
 /// not depend on what was edited in which order.
 pub(super) fn on_grid(eye: DVec3, free_distance: f64) -> DVec3 {
-    let step = power_of_two((eye.abs().max_element() / f64::from(1 << 14)).min(free_distance / 4.0));
+    let step = power_of_two((eye.abs().max_element() / f64::from(1 << 14)).min(free_distance / 8.0));
     let snap = |x: f64| {
         // A number of 2^52 steps or more is a multiple of the step already.
-        let steps = (x / step).round();
+        let steps = (x / step).trunc();
         if steps.abs() < f64::from(1 << 26) * f64::from(1 << 26) { steps * step } else { x }
     };
     DVec3::from_array(eye.to_array().map(snap))
@@ -71,9 +71,9 @@ mod tests {
             let free = random(&mut rng, [-9.0, 9.0]).abs();
             let origin = on_grid(eye, free);
             assert!(origin.distance(eye) <= free / 4.0, "{eye} {free}: {origin}");
-            // f32 has it unless the rounding of f32 at the eye exceeds a quarter of the free distance.
+            // f32 has it unless the rounding of f32 at the eye exceeds an eighth of the free distance.
             let rounding = power_of_two(eye.abs().max_element()) / f64::from(1 << 23);
-            if rounding <= power_of_two(free / 4.0) {
+            if rounding <= power_of_two(free / 8.0) {
                 assert!(fits_f32(origin), "{eye} {free}: {origin}");
                 exact += 1;
             }

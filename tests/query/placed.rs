@@ -27,7 +27,9 @@ fn compiled(triangles: &[([Vec3; 3], DVec3)], eyes: [DVec3; 2]) -> (Scene, Compi
         scene.add(node, Core::Geometry { geometry, material }).unwrap();
     }
     let mut compiler = Compiler::new();
-    eyes.map(|eye| compiler.compile(&mut scene, eye).unwrap());
+    for eye in eyes {
+        compiler.compile(&mut scene, eye).unwrap();
+    }
     (scene, compiler)
 }
 
@@ -46,9 +48,11 @@ fn largest_error(
     let size = (b - a).length();
     let mut largest = 0.0_f64;
     for _ in 0..20 {
-        // Aim at a point of the triangle. Coordinates relative to its place, so that the test's own are exact enough.
-        let (u, v) = (rng.f64() * 0.5, rng.f64() * 0.5);
-        let from = (a + (b - a) * u + (c - a) * v + direction(rng, size) + place) - place;
+        // Aim at a point of the triangle, not from its plane. Coordinates are relative to its place, so that the test's
+        // own are exact enough.
+        let (u, v) = (0.05 + rng.f64() * 0.4, 0.05 + rng.f64() * 0.4);
+        let away = normal * size + direction(rng, size * 0.7);
+        let from = (a + (b - a) * u + (c - a) * v + away + place) - place;
         let along = a + (b - a) * u + (c - a) * v - from;
         let hit = queries.closest_hit(&Ray::new(from + place, along)).unwrap().expect("it aims at the triangle");
         let t = normal.dot(a - from) / normal.dot(along);
@@ -68,8 +72,8 @@ fn an_identity_placement_is_exact_wherever_a_frame_was_seen_from() {
         let length = distance * (0.5 + rng.f64());
         let eye = direction(&mut rng, length);
         let corners = triangle(&mut rng, 2.0);
-        // Alone; in the middle of a ground on which the eye stands too; and after the eye has come from elsewhere.
-        let ground = triangle(&mut rng, distance * 2.0).map(|v| v - Vec3::Y * distance as f32);
+        // Alone; above a ground that reaches as far as the eye; and after the eye has come from elsewhere.
+        let ground = triangle(&mut rng, distance * 2.0).map(|v| v - Vec3::Z * (2.0 * distance) as f32);
         let triangles = [(corners, DVec3::ZERO), (ground, DVec3::new(0.1, 0.2, 0.3))];
         let shown = if i / 4 % 2 == 0 { &triangles[..1] } else { &triangles[..] };
         let before = if i / 8 % 2 == 0 { eye } else { direction(&mut rng, distance * 300.0) };

@@ -68,9 +68,10 @@ fn left_below_shape(shape: &Geometry, screen: Material) -> Vec3 {
     let lit = |screen: Option<Material>| {
         let mut scene = Scene::new();
         put(&mut scene, square(1.0), Material::default(), DAffine3::IDENTITY);
-        // Between the light and the floor, but outside of the view.
+        // Between the light and the floor, but outside of the view. The ray does not go along an edge of two triangles:
+        // both would dim it.
         if let Some(material) = screen {
-            put(&mut scene, shape.clone(), material, at(2.0, 0.0, 2.0));
+            put(&mut scene, shape.clone(), material, at(2.1, 0.0, 2.0));
         }
         put_light(&mut scene, LightKind::Point, 50.0, DVec3::new(4.0, 0.0, 4.0), DVec3::ZERO);
         middle(&mut scene, black())
@@ -120,37 +121,43 @@ fn shadows_have_sharp_edges_where_they_belong() {
     }
 }
 
-/// Whether a plate from -0.5 to 0.5 at this height above the middle of a ground throws its shadow as far to the right
-/// as it is high, and no farther; everything is turned by `turn` about the middle.
-fn plate_throws_its_shadow(half: f32, height: f64, turn: DQuat) -> bool {
-    let turned = |x: f64, y: f64, z: f64| DAffine3::from_quat(turn) * at(x, y, z);
+/// Whether a square plate above the middle of a ground throws a shadow of this length to the right, and no farther.
+/// `size` has half the sides of ground and plate; everything is turned by `turn` about the middle.
+fn plate_throws_its_shadow(size: [f32; 2], height: f64, length: f64, turn: DQuat) -> bool {
+    let turned = |z: f64| DAffine3::from_quat(turn) * at(0.0, 0.0, z);
+    let half = f64::from(size[1]);
     let mut scene = Scene::new();
-    put(&mut scene, square(half), Material::default(), turned(0.0, 0.0, 0.0));
-    put(&mut scene, square(0.5), Material::default(), turned(0.0, 0.0, height));
-    put_light(&mut scene, LightKind::Directional, 1.0, turn * DVec3::new(-1.0, 0.0, 1.0), DVec3::ZERO);
+    put(&mut scene, square(size[0]), Material::default(), turned(0.0));
+    put(&mut scene, square(size[1]), Material::default(), turned(height));
+    put_light(&mut scene, LightKind::Directional, 1.0, turn * DVec3::new(-length, 0.0, height), DVec3::ZERO);
     let mut is_lit = |x: f64, y: f64| {
-        let target = turn * DVec3::new(0.5 + x * height, y, 0.0);
-        let camera = Camera::orthographic(1e-3 * height as f32, 1e-3 * height as f32);
+        let target = turn * DVec3::new(half + x * length, y * half, 0.0);
+        let camera = Camera::orthographic(1e-3 * length as f32, 1e-3 * length as f32);
         let view = View::look_at(target + turn * DVec3::Z * 2.0, target, turn * DVec3::Y, camera, 1, 1);
         render(&mut scene, &View { sky: black(), ..view }).color[0][0] > 0.0
     };
-    // Across the ground's diagonal, at (0.5, 0.5) * height beside the plate's corner, and elsewhere.
-    let places = [0.49, 0.3, 0.0, -0.2];
-    places.iter().all(|&y| !is_lit(0.1, y) && !is_lit(0.5, y) && !is_lit(0.9, y) && is_lit(1.1, y))
+    // Beside the ground's diagonal, which leaves the plate at its corner, and elsewhere.
+    [-0.98, -0.4, 0.0, 0.3].iter().all(|&y| !is_lit(0.2, y) && !is_lit(0.5, y) && is_lit(1.3, y))
 }
 
 #[test]
 fn what_almost_touches_a_wide_ground_throws_its_shadow() {
-    let tilted = DQuat::from_axis_angle(DVec3::new(1.0, 2.0, 0.5).normalize(), 0.7);
-    for half in [10.0, 1e4, 1e6] {
-        // A plane that lies along two axes has no rounding of its own.
-        for height in [0.05, 1e-3] {
-            assert!(plate_throws_its_shadow(half, height, DQuat::IDENTITY), "{height} above {half}");
-        }
+    // A plane that lies along two axes has no rounding along its normal, however large it is. The shadow must be longer
+    // than the rounding within the plane.
+    for (size, height, length) in [
+        ([10.0, 0.5], 0.05, 0.05),
+        ([10.0, 0.5], 1e-4, 1e-3),
+        ([1e4, 0.5], 0.05, 0.05),
+        ([1e4, 0.5], 1e-3, 0.1),
+        ([1e6, 50.0], 0.05, 10.0),
+    ] {
+        let found = plate_throws_its_shadow(size, height, length, DQuat::IDENTITY);
+        assert!(found, "{height} above a ground of {size:?}");
     }
-    // A tilted one has that of its coordinates: 5 cm are some 50 ulps of 10 km, and 5 mm some 5000 of 10 m.
-    for (half, height) in [(1e4, 0.05), (10.0, 0.005)] {
-        assert!(plate_throws_its_shadow(half, height, tilted), "{height} above {half}");
+    // A tilted one has that of its coordinates: 5 cm are 50 ulps of 10 km.
+    let tilted = DQuat::from_axis_angle(DVec3::new(1.0, 2.0, 0.5).normalize(), 0.7);
+    for (size, height) in [([1e4, 0.5], 0.05), ([10.0, 0.5], 1e-4)] {
+        assert!(plate_throws_its_shadow(size, height, height, tilted), "{height} above a tilted ground of {size:?}");
     }
 }
 
