@@ -188,8 +188,8 @@ fn is_culled(candidate: HitRecord, flags: u32) -> bool {
     return NEEDS_CULLING && candidate.back_face != 0u && (flags & INSTANCE_CULL_BACK) != 0u;
 }
 
-// Whether light that travels against the ray, as that of a shadow ray does, meets the back of a single-sided triangle. It
-// passes, as sight does from there. The ray, which comes from the other side, hits the front.
+// Whether light that travels against the ray, as that of a shadow ray does, meets the back of a single-sided triangle.
+// It passes, as sight does from there. The ray, which comes from the other side, hits the front.
 fn is_lit_from_behind(candidate: HitRecord, flags: u32) -> bool {
     return NEEDS_CULLING && candidate.back_face == 0u && (flags & INSTANCE_CULL_BACK) != 0u;
 }

@@ -98,8 +98,8 @@ fn transmittance(ray: RayRecord, ray_mask: u32) -> vec3<f32> {
     return product;
 }
 
-// Transmittance of the instances with certain flags, found by repeated closest-hit traversals that each go on behind the
-// last hit.
+// Transmittance of the instances with certain flags, found by repeated closest-hit traversals that each go on behind
+// the last hit.
 fn transmittance_of_layers(ray: RayRecord, instance_flags: u32, ray_mask: u32) -> vec3<f32> {
     var product = vec3<f32>(1.0);
     var start = start_of_ray();

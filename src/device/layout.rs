@@ -544,8 +544,8 @@ pub struct HitRecord {
     /// 1 if the ray came from the side where the triangle winds clockwise in local space, else 0. That is the back as
     /// glTF defines it, under mirroring transforms too.
     pub back_face: u32,
-    /// The distance by which hits are ordered: `t`, but a little less for translucent surfaces and a little more for back
-    /// faces, so that the order is defined where surfaces touch.
+    /// The distance by which hits are ordered: `t`, but a little less for translucent surfaces and a little more for
+    /// back faces, so that the order is defined where surfaces touch.
     pub depth: f32,
 }
 

@@ -28,8 +28,8 @@ pub struct Material {
     pub wall: WallKind,
     /// How alpha is used.
     pub alpha_mode: AlphaMode,
-    /// Whether back faces are there: sight and light that come from behind pass a single-sided surface, so that it casts
-    /// a shadow only where its front is lit. A transmissive surface is always two-sided.
+    /// Whether back faces are there: sight and light that come from behind pass a single-sided surface, so that it
+    /// casts a shadow only where its front is lit. A transmissive surface is always two-sided.
     pub double_sided: bool,
     /// Output the base colour unshaded (`KHR_materials_unlit`).
     pub unlit: bool,

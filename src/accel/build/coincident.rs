@@ -51,8 +51,8 @@ impl MergedTriangles {
 /// another way. Elsewhere there is nothing to search.
 pub(in crate::accel) struct CoincidentTriangles<'a> {
     geometry: &'a Geometry,
-    /// The triangles left out, each with one that coincides with it and has a lower index. In no particular order, and a
-    /// triangle of which several leaves hold parts is there for each.
+    /// The triangles left out, each with one that coincides with it and has a lower index. In no particular order, and
+    /// a triangle of which several leaves hold parts is there for each.
     found: Mutex<Vec<[u32; 2]>>,
 }
 
@@ -224,8 +224,8 @@ mod tests {
         (kept, blas.merged().clone())
     }
 
-    /// The triangles that are left out of a geometry, the same for all structures, and those of them that can come apart
-    /// from the ones that are kept.
+    /// The triangles that are left out of a geometry, the same for all structures, and those of them that can come
+    /// apart from the ones that are kept.
     fn merged(geometry: &Geometry) -> (Vec<u32>, Vec<u32>) {
         let mut results = STRUCTURES.map(|structure| {
             let (kept, merged) = kept(geometry, structure);

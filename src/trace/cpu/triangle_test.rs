@@ -113,8 +113,7 @@ pub(super) fn intersect_triangles<S: Simd, V: SimdFloat<S, Element = f32>>(
         |w| w * scale,
     );
 
-    // 4. Compute the distance along the plane or, outside an edge, along the edge; clamped to the range of the vertices'
-    //    t.
+    // 4. Compute the distance along the plane or, outside an edge, along the edge; clamp it to the vertices' t.
     let mut t_hit = plane_distance(t, w);
     if is_outside.to_bitmask() & hit_lanes != 0 {
         t_hit = is_outside.select((w[0] * t[0] + w[1] * t[1]) + w[2] * t[2], t_hit);

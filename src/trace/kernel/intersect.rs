@@ -20,14 +20,13 @@
 //!    for its own three operations. Twice the sum is the tolerance, [`EDGE_TOLERANCE`]; the factor two covers terms in
 //!    v^2. X, Y and Z may be those of the edge's two corners alone: a tighter tolerance, so that a ray that leaves past
 //!    a convex edge misses what lies behind it. It is that of both triangles at an edge, as is that of a corner: at a
-//!    ridge a ray hits both or neither.
-//!    A ray that starts on the surface beside a convex edge would still hit the far side of it from behind: while it has
-//!    not gone far, it is no higher above the edge than the tolerance. Off a plane of slope MIN_COSINE or more (2^-10) it
-//!    is that high after at most 2^10 times five [`EDGE_TOLERANCE`]s of the edge's length, 2^-8.6. So a back face that
-//!    only the tolerance admits does not count within [`START_ZONE`] of the triangle's extent from the ray's start. What
-//!    that costs: a ray that starts there, within a closed mesh, and goes through an edge within rounding, may leave it
-//!    on a device that contracts. Without contraction two triangles compute their common edge alike, and one of them is
-//!    hit without tolerance.
+//!    ridge a ray hits both or neither. A ray that starts on the surface beside a convex edge would still hit the far
+//!    side of it from behind: while it has not gone far, it is no higher above the edge than the tolerance. Off a plane
+//!    of slope MIN_COSINE or more (2^-10) it is that high after at most 2^10 times five [`EDGE_TOLERANCE`]s of the
+//!    edge's length, 2^-8.6. So a back face that only the tolerance admits does not count within [`START_ZONE`] of the
+//!    triangle's extent from the ray's start. What that costs: a ray that starts there, within a closed mesh, and goes
+//!    through an edge within rounding, may leave it on a device that contracts. Without contraction two triangles
+//!    compute their common edge alike, and one of them is hit without tolerance.
 //! 3. **Box.** The ray hits the triangle at a mean P of the corners' p, and t = P.z / direction.z. A box around the
 //!    triangle has min <= corner, and rounding is monotonic: the computed min - origin is at most P. By its reciprocal,
 //!    its product, and S, the plane's computed t is at most 6 v beyond t; that of the far plane at most 6 v before it.
@@ -184,8 +183,8 @@ pub(crate) fn shear_ray(origin: Vec3, direction: Vec3, extent: f32) -> ShearRay 
 
 /// Intersects the ray's whole line with a triangle; the caller checks [`t_min`, `t_max`]. The point is on the triangle,
 /// tolerance or not: the weights are not negative, and t lies between those of the vertices. A triangle whose
-/// projection along the ray has no area is missed, and so is a back face beside the ray's start that the tolerance alone
-/// admits (point 2).
+/// projection along the ray has no area is missed, and so is a back face beside the ray's start that the tolerance
+/// alone admits (point 2).
 #[inline]
 pub(crate) fn intersect_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<TriangleHit> {
     // Shear the vertices.

@@ -50,8 +50,8 @@ pub(crate) trait Query: Copy {
     fn accept_hit(&mut self, scene: &KernelScene<'_>, candidate: &HitRecord, flags: u32);
 }
 
-/// Width of one step of the order in which a ray meets surfaces that touch, relative to t, for a surface at right angles
-/// to the ray: 2^-19, more than twice the rounding of t.
+/// Width of one step of the order in which a ray meets surfaces that touch, relative to t, for a surface at right
+/// angles to the ray: 2^-19, more than twice the rounding of t.
 pub(crate) const TOUCH_STEP: f32 = 1.0 / (1 << 19) as f32;
 /// Greatest factor by which a step is wider where a surface is seen at a grazing angle, as the rounding of t is greater
 /// there.
@@ -114,8 +114,8 @@ pub(crate) fn depth_steps(is_back: bool, flags: u32) -> f32 {
     }
 }
 
-/// A triangle's normal, and the same with the absolute values of all products, scaled by a power of two: what bounds the
-/// rounding of t (`intersect.rs`, point 5).
+/// A triangle's normal, and the same with the absolute values of all products, scaled by a power of two: what bounds
+/// the rounding of t (`intersect.rs`, point 5).
 pub(crate) struct GrazingPlane {
     pub(crate) normal: Vec3,
     pub(crate) bound: Vec3,

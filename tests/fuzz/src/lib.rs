@@ -1,16 +1,16 @@
 //! Fuzz targets: what Ropewalk reads from elsewhere, fed with bytes that nobody wrote.
 //!
-//! A [`Target`] is a function of bytes that panics if something is wrong, whatever the bytes are. What it returns is the
-//! *outcome*, in words: an input with a new outcome is kept and mutated further, which stands in for the coverage that
-//! only instrumented builds can measure. [`fuzz`] runs on stable Rust: for a fixed number of inputs as an ordinary test,
-//! and for as long as you like by
+//! A [`Target`] is a function of bytes that panics if something is wrong, whatever the bytes are. What it returns is
+//! the *outcome*, in words: an input with a new outcome is kept and mutated further, which stands in for the coverage
+//! that only instrumented builds can measure. [`fuzz`] runs on stable Rust: for a fixed number of inputs as an ordinary
+//! test, and for as long as you like by
 //!
 //! ```sh
 //! cargo run --release -p ropewalk-fuzz -- import --seconds 600 --seed 7
 //! ```
 //!
-//! A finding is made small and written to a file, and `--input FILE` runs it again. Put it, made in code, into the tests
-//! of the folder in question (`tests/gltf/hostile.rs`, `tests/graph/transfer/`).
+//! A finding is made small and written to a file, and `--input FILE` runs it again. Put it, made in code, into the
+//! tests of the folder in question (`tests/gltf/hostile.rs`, `tests/graph/transfer/`).
 
 mod mutate;
 mod seeds;
