@@ -4,7 +4,7 @@ use std::fmt::{self, Debug};
 use std::io;
 use std::path::{Path, PathBuf};
 
-use crate::gltf::GltfFault;
+use crate::gltf::{GltfFault, MAX_MESSAGE, printable};
 use crate::graph::{CoreKind, NodeKey, ObjectKey, SceneFileError};
 
 /// [`std::result::Result`] with this crate's [`enum@Error`].
@@ -132,7 +132,7 @@ pub enum Error {
         source: IoFault,
     },
     /// A glTF file breaks the specification, or is damaged.
-    #[error("{path}: {}: {cause}", if pointer.is_empty() { "the file" } else { pointer })]
+    #[error("{path}: {}", gltf_message(pointer, cause))]
     Gltf {
         /// The file.
         path: PathBuf,
@@ -143,7 +143,7 @@ pub enum Error {
         cause: GltfFault,
     },
     /// A glTF file requires an extension that Ropewalk does not support.
-    #[error("{path}: requires the extension {extension}, which is not supported")]
+    #[error("{path}: requires the extension {}, which is not supported", printable(extension, MAX_MESSAGE))]
     UnsupportedExtension {
         /// The file.
         path: PathBuf,
@@ -226,6 +226,12 @@ impl Error {
     pub(crate) fn limit(resource: Resource, needed: u64, limit: u64) -> Self {
         Self::Limit { resource, needed, limit }
     }
+}
+
+/// The message about an object of a glTF file. Both parts can quote the file, which may hold anything.
+fn gltf_message(pointer: &str, cause: &GltfFault) -> String {
+    let object = if pointer.is_empty() { "the file".to_owned() } else { printable(pointer, MAX_MESSAGE / 2) };
+    format!("{object}: {}", printable(&cause.to_string(), MAX_MESSAGE))
 }
 
 fn wrong_core_advice(expected: CoreKind) -> &'static str {

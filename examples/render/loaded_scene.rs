@@ -34,7 +34,7 @@ impl LoadedScene {
             }
         };
 
-        let mut view = first_view(&mut scene, arguments)?;
+        let mut view = first_view(&mut scene, import.as_ref(), arguments)?;
         view.sky = sky;
         view.max_depth = arguments.depth;
         // Only EXR files can hold depth, normals and ids.
@@ -70,18 +70,31 @@ fn import(file: &Path, arguments: &Arguments, cancel: &Cancel, scene: &mut Scene
 }
 
 /// The requested camera, else the first camera of the scene, else a view that frames the scene.
-fn first_view(scene: &mut Scene, arguments: &Arguments) -> Result<View, String> {
+fn first_view(scene: &mut Scene, import: Option<&ImportReport>, arguments: &Arguments) -> Result<View, String> {
     let (width, height) = arguments.traced_size();
     let cameras = cameras(scene);
+    // An error about a view names what the user knows: the file and the camera.
+    let file = arguments.file.as_ref().map_or("the built-in scene".into(), |file| file.display().to_string());
     let camera = match &arguments.camera {
         None => cameras.first().copied(),
-        Some(requested) => Some(choose_camera(scene, &cameras, requested)?),
+        Some(requested) => Some(choose_camera(scene, &cameras, requested).map_err(|message| {
+            // It may be one that the import has left out.
+            let warnings = import.into_iter().flat_map(|import| &import.warnings);
+            let left_out = warnings.filter(|warning| warning.feature.starts_with("camera"));
+            left_out.fold(message, |message, warning| format!("{message}; {file}: {warning}"))
+        })?),
     };
     match camera {
-        Some(camera) => View::from_camera(scene, camera, width, height),
-        None => View::framing(scene, width, height),
+        Some(camera) => {
+            let name = camera_name(scene, camera).to_owned();
+            let checked = View::from_camera(scene, camera, width, height).and_then(|view| {
+                view.validate()?;
+                Ok(view)
+            });
+            checked.map_err(|error| format!("{file}: the camera {name:?}: {error}"))
+        }
+        None => View::framing(scene, width, height).map_err(|error| format!("{file}: {error}")),
     }
-    .map_err(|error| error.to_string())
 }
 
 fn choose_camera(scene: &Scene, cameras: &[NodeKey], requested: &str) -> Result<NodeKey, String> {

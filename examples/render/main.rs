@@ -41,14 +41,18 @@ fn main() -> ExitCode {
     }
 }
 
-/// Prints an error on one line; line breaks in the message become spaces.
+/// Prints an error on one line.
 fn fail(message: &str) -> ExitCode {
     eprintln!("error: {}", one_line(message));
     ExitCode::from(2)
 }
 
+/// The text on one line: line breaks become spaces, and other control characters, which a file could have put into a
+/// name, are escaped.
 fn one_line(text: &str) -> String {
-    text.lines().map(str::trim).collect::<Vec<_>>().join(" ")
+    let line = text.lines().map(str::trim).collect::<Vec<_>>().join(" ");
+    let escaped = |c: char| if c.is_control() { c.escape_default().to_string() } else { c.to_string() };
+    line.chars().map(escaped).collect()
 }
 
 fn run(arguments: &Arguments, cancel: &Cancel) -> Result<(), String> {
@@ -59,6 +63,12 @@ fn run(arguments: &Arguments, cancel: &Cancel) -> Result<(), String> {
         LoadedScene::load(arguments, cancel)?
     };
     let load_time = start.elapsed();
+    // Tell of the file; as JSON, the report has it.
+    if let (Some(import), Some(file), false) = (&loaded.import, &arguments.file, arguments.json) {
+        report::warning_lines(file, &import.warnings, &import.unlisted_warnings)
+            .iter()
+            .for_each(|line| eprintln!("{line}"));
+    }
 
     // 2. Open the renderer.
     let options = RendererOptions::default().with_device(arguments.device.into());
@@ -121,9 +131,6 @@ fn print_report(arguments: &Arguments, report: &Report) -> Result<(), String> {
     }
     if arguments.stats {
         print_line(&report.to_tables())?;
-    } else if !report.warnings.is_empty() {
-        let unlisted: usize = report.unlisted_warnings.iter().map(|more| more.count).sum();
-        eprintln!("{} warnings about the file (--stats lists them)", report.warnings.len() + unlisted);
     }
     match report.frames.as_slice() {
         [first, .., last] => print_line(&format!("wrote {} to {}", first.output.display(), last.output.display())),

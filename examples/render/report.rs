@@ -1,6 +1,7 @@
 //! The report of a run: what was done and how long it took, as tables or as JSON.
 
-use std::path::PathBuf;
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use comfy_table::Table;
@@ -8,6 +9,8 @@ use comfy_table::presets::UTF8_FULL_CONDENSED;
 use ropewalk::FrameReport;
 use ropewalk::gltf::{ImportCounts, ImportWarning, UnlistedWarnings};
 use serde::{Serialize, Serializer};
+
+use crate::one_line;
 
 /// One run of the program. Times are in seconds.
 #[derive(Serialize)]
@@ -49,18 +52,10 @@ pub(crate) struct FrameEntry {
 }
 
 impl Report {
-    /// Two tables: the scene; and the time of each phase in the first frame and in the later ones. Below them the
-    /// warnings about the file.
+    /// Two tables: the scene; and the time of each phase in the first frame and in the later ones.
     pub(crate) fn to_tables(&self) -> String {
         let Some((first, later)) = self.frames.split_first() else { return String::new() };
-        let mut text = format!("{}\n{}", self.scene_table(&first.report), phase_table(first, later));
-        for warning in &self.warnings {
-            text += &format!("\nwarning: {warning}");
-        }
-        for more in &self.unlisted_warnings {
-            text += &format!("\nwarning: {more}");
-        }
-        text
+        format!("{}\n{}", self.scene_table(&first.report), phase_table(first, later))
     }
 
     /// The whole report as JSON.
@@ -75,7 +70,10 @@ impl Report {
 
         let mut table = Table::new();
         table.load_style(UTF8_FULL_CONDENSED);
-        table.set_header(["scene", &self.file.as_ref().map_or("built-in".into(), |file| file.display().to_string())]);
+        table.set_header([
+            "scene",
+            &self.file.as_ref().map_or("built-in".into(), |file| one_line(&file.display().to_string())),
+        ]);
         table.add_rows([
             ["device", &format!("{} ({})", first.device.executor, first.device.name)],
             ["image", &format!("{}x{}, {rays} primary rays", self.size.0, self.size.1)],
@@ -93,6 +91,44 @@ impl Report {
         ]);
         table
     }
+}
+
+/// A line for each warning about a file, in their order. Of those of one kind, only the first ten are there; if there
+/// are more, listed in the report or counted there, a line after them tells how many.
+pub(crate) fn warning_lines(file: &Path, warnings: &[ImportWarning], unlisted: &[UnlistedWarnings]) -> Vec<String> {
+    const SHOWN: usize = 10;
+
+    let file = file.file_name().map_or_else(|| file.to_string_lossy(), |name| name.to_string_lossy());
+    let file = one_line(&file);
+    // The warnings of each kind, in the order of the first ones.
+    let mut kinds: Vec<Vec<&ImportWarning>> = Vec::new();
+    let mut kind_index = HashMap::new();
+    for warning in warnings {
+        let index = *kind_index.entry((warning.kind, &*warning.feature)).or_insert_with(|| {
+            kinds.push(Vec::new());
+            kinds.len() - 1
+        });
+        kinds[index].push(warning);
+    }
+    // How many of each kind the report only counts; those of kinds that it does not list are told of at the end.
+    let mut counted = vec![0; kinds.len()];
+    let mut others = Vec::new();
+    for more in unlisted {
+        match kind_index.get(&(more.kind, &*more.feature)) {
+            Some(&index) => counted[index] += more.count,
+            None => others.push(format!("note: {file}: {more}")),
+        }
+    }
+    let mut lines = Vec::new();
+    for (alike, counted) in kinds.iter().zip(counted) {
+        lines.extend(alike.iter().take(SHOWN).map(|warning| format!("note: {file}: {warning}")));
+        let more = alike.len().saturating_sub(SHOWN) + counted;
+        if more > 0 {
+            lines.push(format!("note: {file}: ... and {more} more of this kind"));
+        }
+    }
+    lines.extend(others);
+    lines
 }
 
 /// A row of the table of phases.

@@ -38,7 +38,7 @@ pub(super) fn instance_record(member: &Member, inputs: &RecordInputs<'_>) -> Com
     if geometry.nodes.is_empty() {
         return unhittable(geometry.triangle_count());
     }
-    // 3. The transform and the world box; a matrix that is singular or beyond f32 has none.
+    // 3. The transform and the world box; a matrix that leaves a line or a point, or is beyond f32, has none.
     let entry = member.entry as usize;
     let world_from_local = inputs.view.world_from_local(inputs.hierarchy, entry);
     let Some(transform) = InstanceTransform::new(&world_from_local, inputs.origin, &geometry.support) else {

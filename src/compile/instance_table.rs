@@ -62,8 +62,8 @@ struct InstanceSlot {
 pub(super) struct InstanceTotals {
     /// Instances that can be hit.
     pub(super) instances: usize,
-    /// Instances that no ray can hit although they have triangles: their matrix is singular or does not fit f32, or
-    /// all their triangles are degenerate.
+    /// Instances that no ray can hit although they have triangles: their matrix scales two axes to zero or does
+    /// not fit f32, or all their triangles are degenerate.
     pub(super) unhittable_instances: usize,
     /// Triangles of the instances that can be hit.
     pub(super) triangles: usize,

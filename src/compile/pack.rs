@@ -7,7 +7,7 @@ use crate::accel::SupportFunction;
 use crate::device::layout::{self, InstanceFlags, InstanceRecord, MaterialFlags, TextureFlags, TextureInfo};
 use crate::device::{MAX_MIRROR_ROUGHNESS, Needs};
 use crate::graph::{AlphaMode, FilterMode, Light, LightKind, Material, NodeKey, Texture, TextureRef, WrapMode};
-use crate::math::Aabb;
+use crate::math::{Aabb, with_least_thickness};
 
 /// The transform and world box of an instance, as its device record has them.
 pub(super) struct InstanceTransform {
@@ -19,8 +19,9 @@ pub(super) struct InstanceTransform {
 }
 
 impl InstanceTransform {
-    /// The placement of a geometry with this support function. `None` if the matrix is singular, or it or its inverse
-    /// does not fit f32: such an instance cannot be hit.
+    /// The placement of a geometry with this support function. `None` if the matrix scales two axes to zero, or it or
+    /// its inverse does not fit f32: such an instance cannot be hit. One that scales a single axis to zero is given a
+    /// least thickness, so that it is drawn flat.
     ///
     /// Rays are transformed by the f32-rounded `local_from_world`, so what is seen is the geometry under the inverse of
     /// that, and the box is computed from it. The box is then widened by the rounding of the ray transform: each local
@@ -30,10 +31,7 @@ impl InstanceTransform {
         // 1. Relative to the render origin.
         let mut relative = *world_from_local;
         relative.translation -= origin;
-        let determinant = relative.matrix3.determinant();
-        if determinant == 0.0 || !determinant.is_finite() {
-            return None;
-        }
+        relative.matrix3 = with_least_thickness(&relative.matrix3)?;
         // 2. Round the inverse to f32, as the device has it.
         let local_from_world = relative.inverse().as_affine3();
         let rounded_local_from_world = local_from_world.as_daffine3();

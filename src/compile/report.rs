@@ -39,8 +39,8 @@ pub struct CompileReport {
     pub blas_count: usize,
     /// Instances in the TLAS.
     pub instances: usize,
-    /// Visible instances with triangles that no ray can hit: their matrix is singular or beyond f32, or all their
-    /// triangles are degenerate.
+    /// Visible instances with triangles that no ray can hit: their matrix scales two axes to zero or is beyond
+    /// f32, or all their triangles are degenerate.
     pub unhittable_instances: usize,
     /// Triangles of the geometries in use, each geometry counted once.
     pub unique_triangles: usize,

@@ -50,6 +50,16 @@ pub(super) enum Selection<'a> {
     Indices(&'a [u32]),
 }
 
+impl Selection<'_> {
+    /// The index in the accessor of the selected element at this position.
+    pub(super) fn element(self, position: usize) -> usize {
+        match self {
+            Self::All => position,
+            Self::Indices(indices) => indices[position] as usize,
+        }
+    }
+}
+
 impl<'a> Accessors<'a> {
     /// Checks that every accessor lies within its buffer views, and reads the sparse indices.
     /// O(accessors + sparse indices).
@@ -211,12 +221,22 @@ impl<'a> AccessorData<'a> {
     where
         T: Pod + From<[f32; N]>,
     {
+        let out = self.any_floats::<T, N>(document, selection)?;
+        self.check_finite::<T, N>(document, selection, &out)?;
+        Ok(out)
+    }
+
+    /// As [`floats`](Self::floats), but the numbers may be infinite or NaN.
+    pub(super) fn any_floats<T, const N: usize>(&self, document: &Document, selection: Selection) -> Result<Vec<T>>
+    where
+        T: Pod + From<[f32; N]>,
+    {
         // Check that there is data, of `N` components for each element.
         let format = self.checked_format::<N>(document)?;
         let (bytes, shorts) = (f32::from(u8::MAX), f32::from(u16::MAX));
         let (signed_bytes, signed_shorts) = (f32::from(i8::MAX), f32::from(i16::MAX));
         // Decode by component type. Normalized integers are divided by the largest value of their type.
-        let out = match (format.component, format.normalized) {
+        Ok(match (format.component, format.normalized) {
             (Component::F32, _) => self.gather(selection, f32::from_le_bytes),
             (Component::U8, true) => self.gather(selection, |[b]: [u8; 1]| f32::from(b) / bytes),
             (Component::U8, false) => self.gather(selection, |[b]: [u8; 1]| f32::from(b)),
@@ -233,9 +253,7 @@ impl<'a> AccessorData<'a> {
             (Component::I16, false) => self.gather(selection, |b| f32::from(i16::from_le_bytes(b))),
             // glTF has unsigned ints as vertex indices only.
             (Component::U32, _) => return Err(self.error(document, AccessorFault::IntegerCoordinates)),
-        };
-        self.check_finite::<T, N>(document, selection, &out)?;
-        Ok(out)
+        })
     }
 
     /// The selected elements as unsigned integers. Charge the budget first.
@@ -316,15 +334,11 @@ impl<'a> AccessorData<'a> {
     fn check_finite<T: Pod, const N: usize>(&self, document: &Document, selection: Selection, out: &[T]) -> Result<()> {
         let Some(i) = bytemuck::cast_slice::<T, f32>(out).iter().position(|x| !x.is_finite()) else { return Ok(()) };
         // The message names the element by its index in the accessor, not in the selection.
-        let element = match selection {
-            Selection::All => i / N,
-            Selection::Indices(indices) => indices[i / N] as usize,
-        };
-        Err(self.error(document, AccessorFault::NotFinite { element }))
+        Err(self.error(document, AccessorFault::NotFinite { element: selection.element(i / N) }))
     }
 
     /// The error about this accessor.
-    fn error(&self, document: &Document, fault: AccessorFault) -> Error {
+    pub(super) fn error(&self, document: &Document, fault: AccessorFault) -> Error {
         document.error_at(format!("/accessors/{}", self.index), fault)
     }
 }

@@ -4,6 +4,8 @@ use std::borrow::Cow;
 use std::collections::HashMap;
 
 use super::files::{ExternalFiles, UriTarget};
+use super::uri::spelling_fault;
+use super::warnings::Warnings;
 use super::{Budget, BufferFault, Document};
 use crate::Result;
 
@@ -23,6 +25,7 @@ impl<'a> Buffers<'a> {
         files: &ExternalFiles,
         bin: Option<&'a [u8]>,
         budget: &mut Budget,
+        warnings: &mut Warnings,
     ) -> Result<Self> {
         let mut buffers = Self { data: Vec::new(), canonical_buffer: Vec::new() };
         // 1. Merge buffers with the same target, and find the length to read.
@@ -35,6 +38,11 @@ impl<'a> Buffers<'a> {
             let target = files
                 .resolve(uri)
                 .map_err(|fault| document.error_at(format!("/buffers/{i}"), BufferFault::Uri(fault)))?;
+            if let Some(fault) = spelling_fault(uri) {
+                let fallback = format!("{fault}: read as if it had not");
+                let error = document.error_at(format!("/buffers/{i}/uri"), BufferFault::Uri(fault));
+                warnings.forgive(&document.value, "URI", fallback, error)?;
+            }
             // Read as many bytes as the longest of the buffers with this target declares.
             let (first, length) = needed.entry(target).or_insert((i, 0));
             *length = buffer.byte_length.0.max(*length);

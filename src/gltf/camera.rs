@@ -16,8 +16,13 @@ const MAX_Y_FOV: f32 = 179.0 / 180.0 * std::f32::consts::PI;
 /// The camera with this index in the file; `None` if it is of a type that glTF does not define. The clip planes are not
 /// used.
 pub(super) fn convert(document: &Document, index: usize, warnings: &mut Warnings) -> Result<Option<Camera>> {
-    let camera = &document.cameras[index];
+    // One that is no camera at all has been left out, with a warning.
+    let Some(camera) = &document.cameras[index] else { return Ok(None) };
     let pointer = format!("/cameras/{index}");
+    if camera.perspective.is_some() || camera.orthographic.is_some() {
+        let fallback = "znear and zfar are not used: all that is in front of the camera is seen";
+        warnings.add(document, WarningKind::Feature, "clip planes", &*pointer, fallback);
+    }
     // Lengths, angles and ratios must be finite and above 0.
     let positive = |what: &'static str, value: f32| {
         let valid = value > 0.0 && value.is_finite();

@@ -11,7 +11,8 @@ use serde::Deserialize;
 use serde_json::{Number, Value};
 
 use super::json_cost::json_cost;
-use super::{Budget, GltfFault, NodeForest, TransformFault, error_at, references};
+use super::warnings::Warnings;
+use super::{Budget, GltfFault, NodeForest, TransformFault, error_at, references, schema};
 use crate::graph::Transform;
 use crate::{Cancel, Error, Result};
 
@@ -40,9 +41,11 @@ pub(super) struct Document<'a> {
     pub(super) accessors: Vec<json::Accessor>,
     pub(super) buffers: Vec<json::Buffer>,
     pub(super) views: Vec<json::buffer::View>,
-    pub(super) cameras: Vec<json::Camera>,
+    /// `None` for one that is broken and left out.
+    pub(super) cameras: Vec<Option<json::Camera>>,
     pub(super) images: Vec<json::Image>,
-    pub(super) lights: Vec<json::extensions::scene::khr_lights_punctual::Light>,
+    /// `None` for one that is broken and left out.
+    pub(super) lights: Vec<Option<json::extensions::scene::khr_lights_punctual::Light>>,
     pub(super) materials: Vec<json::Material>,
     pub(super) meshes: Vec<json::Mesh>,
     pub(super) nodes: Vec<json::Node>,
@@ -60,14 +63,14 @@ impl<'a> Document<'a> {
     /// Parses and checks the JSON text. O(size of the text).
     ///
     /// Nesting is limited to 128 levels by `serde_json`, so nothing that walks the tree can overflow the stack.
-    pub(super) fn parse(text: &[u8], path: &'a Path, budget: &mut Budget) -> Result<Self> {
+    pub(super) fn parse(text: &[u8], path: &'a Path, budget: &mut Budget, warnings: &mut Warnings) -> Result<Self> {
         // Charge for all that this function makes of the text, before any of it is made.
         if !budget.try_take(json_cost(text, budget.remaining())) {
             return Err(error_at(path, "", budget.fault()));
         }
         // 1. Parse the text into untyped JSON, and bring it into the form that the crate's types accept.
         let mut value: Value =
-            serde_json::from_slice(text).map_err(|e| error_at(path, "", GltfFault::Json(e.to_string())))?;
+            serde_json::from_slice(text).map_err(|e| error_at(path, "", schema::json_fault(text, &e)))?;
         normalize_numbers_and_drop_extras(&mut value);
         add_empty_lists(&mut value);
 
@@ -78,23 +81,37 @@ impl<'a> Document<'a> {
 
         // 3. Convert each array to the crate's types.
         let nodes: Vec<json::Node> = parse_array(&value, "/nodes", path)?;
-        let scenes = parse_array(&value, "/scenes", path)?;
+        let scenes: Vec<json::Scene> = parse_array(&value, "/scenes", path)?;
+        let hierarchy = NodeForest::new(&nodes, &scenes, path)?;
+        for (pointer, fault) in hierarchy.scene_roots_with_parents(&scenes) {
+            let fallback = format!("{fault}: shown as a root, without its parent's transform");
+            warnings.forgive(&value, "scene root", fallback, error_at(path, pointer, fault))?;
+        }
+        // Of these, a broken one is left out, or a broken part of it; the file is imported all the same. Of a material,
+        // that is an extension.
+        let cameras = parse_parts(&mut value, "/cameras", path, "camera", |_| Some(0), warnings)?;
+        let lights = "/extensions/KHR_lights_punctual/lights";
+        let lights = parse_parts(&mut value, lights, path, "light", |_| Some(0), warnings)?;
+        let images = parse_parts(&mut value, "/images", path, "image", |keys| Some(keys.len().min(1)), warnings)?;
+        let extension =
+            |keys: &[String]| keys.iter().rposition(|key| key == "extensions").map(|i| (i + 2).min(keys.len()));
+        let materials = parse_parts(&mut value, "/materials", path, "material extension", extension, warnings)?;
         Ok(Self {
             path,
             cancel: Cancel::new(),
             accessors: parse_array(&value, "/accessors", path)?,
             buffers: parse_array(&value, "/buffers", path)?,
             views: parse_array(&value, "/bufferViews", path)?,
-            cameras: parse_array(&value, "/cameras", path)?,
-            images: parse_array(&value, "/images", path)?,
-            lights: parse_array(&value, "/extensions/KHR_lights_punctual/lights", path)?,
-            materials: parse_array(&value, "/materials", path)?,
+            cameras,
+            images: images.into_iter().map(|image| image.unwrap_or_else(no_image)).collect(),
+            lights,
+            materials: materials.into_iter().flatten().collect(),
             meshes: parse_array(&value, "/meshes", path)?,
             samplers: parse_array(&value, "/samplers", path)?,
             skins: parse_array(&value, "/skins", path)?,
             textures: parse_array(&value, "/textures", path)?,
             transforms: transforms(&value, path)?,
-            hierarchy: NodeForest::new(&nodes, &scenes, path)?,
+            hierarchy,
             nodes,
             scenes,
             value,
@@ -112,23 +129,77 @@ impl<'a> Document<'a> {
     }
 }
 
+/// What stands for an image that is broken: it has no data.
+fn no_image() -> json::Image {
+    let extras = json::Extras::default();
+    json::Image { buffer_view: None, mime_type: None, name: None, uri: None, extensions: None, extras }
+}
+
 /// The objects of an array of the JSON; none where there is no such array.
 fn parse_array<T: for<'de> Deserialize<'de>>(root: &Value, pointer: &str, path: &Path) -> Result<Vec<T>> {
-    let elements = match root.pointer(pointer) {
-        None => return Ok(Vec::new()),
-        Some(Value::Array(elements)) => elements,
-        Some(_) => return Err(error_at(path, pointer, GltfFault::NotAnArray)),
-    };
+    let elements = elements(root, pointer, path)?;
     // Collecting results would grow the vector by doubling.
     let mut objects = Vec::with_capacity(elements.len());
     for (i, element) in elements.iter().enumerate() {
-        objects.push(T::deserialize(element).map_err(|e| schema_error(path, format!("{pointer}/{i}"), &e))?);
+        objects.push(schema::parse_object(element).map_err(|e| e.error_at(path, &format!("{pointer}/{i}")))?);
     }
     Ok(objects)
 }
 
-fn schema_error(path: &Path, pointer: impl Into<String>, error: &serde_json::Error) -> Error {
-    error_at(path, pointer, GltfFault::Schema(error.to_string()))
+/// As [`parse_array`], but where an element is not of type `T`, only a part of it is left out, and removed from the
+/// JSON. `part_of` gives that part for the keys that lead to the fault: how many of the keys lead to it, so that 0 is
+/// the element as a whole; or `None` if the file is to be refused. `what` names such parts in warnings.
+fn parse_parts<T: for<'de> Deserialize<'de>>(
+    root: &mut Value,
+    pointer: &str,
+    path: &Path,
+    what: &str,
+    part_of: impl Fn(&[String]) -> Option<usize>,
+    warnings: &mut Warnings,
+) -> Result<Vec<Option<T>>> {
+    let count = elements(root, pointer, path)?.len();
+    let mut parsed = Vec::with_capacity(count);
+    for i in 0..count {
+        // Remove parts of the element until the rest can be read. It is the document's own: a copy would take memory.
+        parsed.push(loop {
+            let fault = match schema::parse_object(&elements(root, pointer, path)?[i]) {
+                Ok(object) => break Some(object),
+                Err(fault) => fault,
+            };
+            let part = part_of(&fault.keys).and_then(|length| Some(fault.keys.get(..length)?.to_vec()));
+            let pointer = format!("{pointer}/{i}");
+            let error = fault.error_at(path, &pointer);
+            let Some(part) = part else { return Err(error) };
+            if part.is_empty() {
+                warnings.leave_out(root, what, error)?;
+                break None;
+            }
+            if root.pointer_mut(&pointer).and_then(|element| remove(element, &part)).is_none() {
+                return Err(error);
+            }
+            warnings.leave_out(root, what, error)?;
+        });
+    }
+    Ok(parsed)
+}
+
+/// Removes and returns the member to which the keys lead, if there is one.
+fn remove(value: &mut Value, keys: &[String]) -> Option<Value> {
+    let (last, parents) = keys.split_last()?;
+    let parent = parents.iter().try_fold(value, |value, key| match value {
+        Value::Array(elements) => elements.get_mut(key.parse::<usize>().ok()?),
+        value => value.get_mut(key),
+    });
+    parent?.as_object_mut()?.remove(last)
+}
+
+/// The elements of an array of the JSON; none where there is no such array.
+fn elements<'v>(root: &'v Value, pointer: &str, path: &Path) -> Result<&'v [Value]> {
+    match root.pointer(pointer) {
+        None => Ok(&[]),
+        Some(Value::Array(elements)) => Ok(elements),
+        Some(_) => Err(error_at(path, pointer, GltfFault::NotAnArray)),
+    }
 }
 
 /// Rewrites whole numbers written as "1.0" or "1e0" as integers, since serde reads an integer from "1" only; and drops
@@ -177,7 +248,9 @@ fn check_version(root: &Value, path: &Path) -> Result<()> {
     match root.pointer("/asset/minVersion") {
         None => Ok(()),
         Some(least) if least.as_str().and_then(parse_version).is_some_and(|least| least <= (2, 0)) => Ok(()),
-        Some(least) => Err(error_at(path, "/asset/minVersion", GltfFault::MinVersion { found: least.to_string() })),
+        Some(least) => {
+            Err(error_at(path, "/asset/minVersion", GltfFault::MinVersion { found: schema::describe(least) }))
+        }
     }
 }
 
@@ -189,7 +262,7 @@ fn parse_version(version: &str) -> Option<(u32, u32)> {
 
 fn check_required_extensions(root: &Value, path: &Path) -> Result<()> {
     let Some(required) = root.get("extensionsRequired") else { return Ok(()) };
-    let names = Vec::<String>::deserialize(required).map_err(|e| schema_error(path, "/extensionsRequired", &e))?;
+    let names: Vec<String> = schema::parse(required).map_err(|e| e.error_at(path, "/extensionsRequired"))?;
     match names.into_iter().find(|name| !EXTENSIONS.contains(&name.as_str())) {
         None => Ok(()),
         Some(extension) => Err(Error::UnsupportedExtension { path: path.into(), extension }),

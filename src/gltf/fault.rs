@@ -16,12 +16,29 @@ pub enum GltfFault {
     /// The file is neither JSON nor a complete GLB file.
     #[error(transparent)]
     Container(#[from] ContainerFault),
-    /// The text is not JSON, or is nested too deeply; with the parser's message.
+    /// The text is not JSON; with the reason and the place.
     #[error("is not valid JSON: {0}")]
     Json(String),
-    /// A member is missing or of another type than the specification says; with the parser's message.
-    #[error("{0}")]
-    Schema(String),
+    /// Arrays and objects lie within one another more deeply than is read.
+    #[error("is nested deeper than the {max_depth} levels that are read")]
+    TooDeep {
+        /// The levels that are read.
+        max_depth: usize,
+    },
+    /// An object lacks a member that the specification requires.
+    #[error("has no {member}, which glTF requires")]
+    MissingMember {
+        /// The member: "attributes".
+        member: String,
+    },
+    /// A member is of another type, or an array of another length, than the specification says.
+    #[error("is {found}, but must be {expected}")]
+    WrongType {
+        /// The JSON value in the file, in words.
+        found: String,
+        /// What the specification says: "a number", "an array of 3".
+        expected: String,
+    },
     /// A member that holds objects by index is not an array.
     #[error("is not an array")]
     NotAnArray,
@@ -97,6 +114,9 @@ pub enum GltfFault {
     /// `EXT_mesh_gpu_instancing` contradicts its accessors.
     #[error(transparent)]
     Instancing(#[from] InstancingFault),
+    /// An image cannot be shown; with the reason. Only a strict import fails with it.
+    #[error("{0}")]
+    Image(String),
     /// An enumerated member has a value that glTF does not define.
     #[error("is not a mode that glTF defines")]
     UnknownMode,
@@ -139,6 +159,18 @@ pub enum ContainerFault {
     /// The file, or the JSON chunk of a GLB file, is empty.
     #[error("there is no JSON in it: neither a glTF nor a GLB file")]
     NoJson,
+    /// The text is UTF-16; glTF is UTF-8.
+    #[error("is UTF-16 text: glTF must be UTF-8, save it as that")]
+    Utf16,
+    /// The file is not text, nor does it begin as a GLB file does.
+    #[error("is binary data, neither JSON text nor GLB: it begins with \"{}\"", first_bytes.escape_ascii())]
+    Binary {
+        /// The first four bytes.
+        first_bytes: [u8; 4],
+    },
+    /// The JSON is padded with NUL bytes; glTF pads it with spaces. Only a strict import fails with it.
+    #[error("the JSON ends in NUL bytes, where glTF has spaces")]
+    NulPadding,
     /// The file ends within the GLB header.
     #[error("the GLB header is cut short")]
     TruncatedHeader,
@@ -196,8 +228,8 @@ pub enum HierarchyFault {
     /// A node is its own ancestor, or below one that is.
     #[error("is its own ancestor, or below one: the nodes form a cycle")]
     Cycle,
-    /// A scene lists a node that has a parent.
-    #[error("node {node} is a child of node {parent}, so it cannot be a root too")]
+    /// A scene lists a node that has a parent. Only a strict import fails with it.
+    #[error("node {node} is a child of node {parent}, so it should not be a root too")]
     NotARoot {
         /// The node that the scene lists.
         node: usize,
@@ -230,6 +262,10 @@ pub enum TransformFault {
     /// There are a matrix and a translation, rotation or scale, which exclude one another.
     #[error("it has both a matrix and a translation, rotation or scale")]
     MatrixAndTrs,
+    /// A camera or light has no direction, because its node is scaled to zero along an axis. Only a strict import fails
+    /// with it.
+    #[error("is scaled to zero along an axis")]
+    ZeroScale,
     /// The matrix is a projection.
     #[error("its matrix is not affine: the last row must be 0, 0, 0, 1")]
     NotAffine,
@@ -315,6 +351,9 @@ pub enum UriFault {
     /// The data URI has no comma before its data.
     #[error("the data URI has no comma, hence no data")]
     NoComma,
+    /// The base64 text has white space in it, or the letters of URLs. Only a strict import fails with it.
+    #[error("the base64 text of the data URI has white space or the letters - and _ in it")]
+    Base64Spelling,
     /// The data URI is not valid base64; with the decoder's message.
     #[error("the data URI is not valid base64: {0}")]
     Base64(String),
@@ -426,6 +465,24 @@ pub enum AccessorFault {
         /// The index of the element.
         element: usize,
     },
+    /// Colours are integers that are not marked as normalized. Only a strict import fails with it.
+    #[error("is {found}, but colours must be floats or normalized")]
+    NotNormalized {
+        /// The accessor's format.
+        found: String,
+    },
+    /// A normal has no direction. Only a strict import fails with it.
+    #[error("element {element} is no direction: it is zero or not finite")]
+    NoDirection {
+        /// The index of the element.
+        element: usize,
+    },
+    /// A vertex hangs on no joint: all its weights are zero. Only a strict import fails with it.
+    #[error("all weights of element {element} are zero")]
+    NoWeight {
+        /// The index of the element.
+        element: usize,
+    },
     /// A vertex index is not below the number of vertices.
     #[error("index {position} is {index}, but there are {vertex_count} vertices")]
     VertexIndexOutOfRange {
@@ -444,7 +501,7 @@ pub enum AccessorFault {
         /// The index.
         index: u32,
     },
-    /// A vertex refers to a joint that its skin does not have.
+    /// A vertex refers to a joint that its skin does not have. If its weight on it is zero, only a strict import fails.
     #[error("refers to joint {joint}, but the skin has {joint_count}")]
     JointOutOfRange {
         /// The index of the joint in the skin.

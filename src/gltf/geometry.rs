@@ -13,9 +13,10 @@ use json::validation::Checked::Valid;
 use super::accessor::Selection;
 use super::format::{Component, Format};
 use super::topology::{Topology, compact_vertices};
+use super::warnings::{BYTES_PER_FORGIVABLE, Forgivable, Warnings, cause_of};
 use super::{AccessorFault, Accessors, Budget, Document, GltfFault, Pose, PrimitiveFault, normals};
-use crate::Result;
 use crate::graph::Geometry;
+use crate::{Error, Result};
 
 /// What determines a geometry. Accessors are given by their canonical index, so that equal content compares equal.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
@@ -44,12 +45,15 @@ pub(super) enum SkipReason {
 impl GeometrySource {
     /// The source of a primitive, checked against its accessors' formats and lengths but not their data.
     /// `canonical_accessor` maps each accessor to the first equal one. `pointer` is the primitive's, for messages.
+    ///
+    /// Streams of normals, texture coordinates and colours whose format or length is wrong are left out.
     pub(super) fn new(
         document: &Document,
         accessors: &Accessors,
         canonical_accessor: &[usize],
         primitive: &json::mesh::Primitive,
         pointer: &str,
+        warnings: &mut Warnings,
     ) -> Result<Result<Self, SkipReason>> {
         // Find how vertices form triangles; points and lines are not drawn.
         let Valid(mode) = primitive.mode else {
@@ -64,7 +68,7 @@ impl GeometrySource {
             return Ok(Err(SkipReason::NoData));
         }
         // Refer to every attribute by its canonical accessor, so that equal primitives have equal sources.
-        let source = Self {
+        let mut source = Self {
             topology,
             indices: primitive.indices.map(|index| canonical_accessor[index.value()]),
             positions,
@@ -76,6 +80,7 @@ impl GeometrySource {
         // Check formats and lengths.
         source.check_formats(document, accessors)?;
         source.check_counts(document, accessors, pointer)?;
+        source.leave_out_broken_streams(document, accessors, pointer, warnings)?;
         Ok(if source.triangle_count(accessors) == 0 { Err(SkipReason::NoTriangles) } else { Ok(source) })
     }
 
@@ -132,7 +137,16 @@ impl GeometrySource {
         // Only used vertices are read: no more than there are indices.
         budget.charge(vertex_count.min(index_count), self.bytes_per_vertex(), document, at)?;
         // The bits and ranks of `compact_vertices`: 12 bytes for 64 vertices.
-        budget.charge(vertex_count / 4, 1, document, at)
+        budget.charge(vertex_count / 4, 1, document, at)?;
+        // Each stream but the positions can have a fault, which is told of when all geometries are built.
+        let fault = BYTES_PER_FORGIVABLE + 2 * document.path.as_os_str().len();
+        budget.charge(self.max_faults(), fault, document, at)
+    }
+
+    /// The most faults that [`build`](Self::build) adds.
+    fn max_faults(&self) -> usize {
+        let streams = [self.normals, self.tex_coords[0], self.tex_coords[1], self.colors];
+        streams.iter().flatten().count() + self.pose.max_faults()
     }
 
     /// Upper bound of the bytes that [`build`](Self::build) allocates for a used vertex. Every stream is held twice: as
@@ -148,13 +162,15 @@ impl GeometrySource {
     }
 
     /// Reads the accessors and builds the geometry. `palettes` are the joint matrices that the pose refers to,
-    /// `pointer` is the primitive's, for messages. O(indices).
+    /// `pointer` is the primitive's, for messages, and what is wrong but was corrected is added to `faults`.
+    /// O(indices).
     pub(super) fn build(
         &self,
         document: &Document,
         accessors: &Accessors,
         palettes: &[Vec<DAffine3>],
         pointer: &str,
+        faults: &mut Vec<Forgivable>,
     ) -> Result<Geometry> {
         // 1. Read the indices, and compact them to the vertices that are used.
         let mut indices = self.read_indices(document, accessors)?;
@@ -164,17 +180,39 @@ impl GeometrySource {
 
         // 2. Read the attributes of these vertices.
         let mut positions: Vec<Vec3> = accessors.get(self.positions).floats(document, selection)?;
-        let mut normals = self.normals.map(|n| accessors.get(n).floats::<Vec3, 3>(document, selection)).transpose()?;
-        let tex_coords = |set: usize| {
-            let read = |index| accessors.get(index).floats::<Vec2, 2>(document, selection);
-            self.tex_coords[set].map(read).transpose()
+        let mut normals = match self.normals {
+            Some(index) => read_normals(document, accessors, index, selection, faults)?,
+            None => None,
         };
-        let tex_coords = [tex_coords(0)?, tex_coords(1)?];
-        let colors = self.colors.map(|index| read_colors(document, accessors, index, selection)).transpose()?;
+        // A stream with a number that is not finite is left out as a whole.
+        let mut leave_out = |feature: &'static str, error: Error| {
+            let fallback = format!("{}: all of them are left out", cause_of(&error));
+            faults.push(Forgivable { error, feature, fallback });
+        };
+        let mut tex_coords = [None, None];
+        for ((set, index), role) in tex_coords.iter_mut().zip(self.tex_coords).zip(TEX_COORD_ROLES) {
+            let read = index.map(|index| accessors.get(index).floats::<Vec2, 2>(document, selection)).transpose();
+            *set = read.unwrap_or_else(|error| {
+                leave_out(role, error);
+                None
+            });
+        }
+        let colors = self.colors.map(|index| read_colors(document, accessors, index, selection)).transpose();
+        let colors = colors.unwrap_or_else(|error| {
+            leave_out("COLOR_0", error);
+            None
+        });
 
         // 3. Apply the rest pose, and normalize.
-        let is_finite =
-            self.pose.apply(document, accessors, palettes, selection, &mut positions, normals.as_deref_mut())?;
+        let is_finite = self.pose.apply(
+            document,
+            accessors,
+            palettes,
+            selection,
+            &mut positions,
+            normals.as_deref_mut(),
+            faults,
+        )?;
         if !is_finite {
             return Err(document.error_at(pointer, PrimitiveFault::PoseNotFinite));
         }
@@ -225,19 +263,9 @@ impl GeometrySource {
                 None => Ok(()),
                 Some(index) => accessors.get(index).require_format(document, role, expected, accepts).map(drop),
             };
-        // KHR_mesh_quantization allows integers for all attributes but colours; they are accepted whether or not the
-        // file declares the extension.
+        // KHR_mesh_quantization allows integers; they are accepted whether or not the file declares the extension.
         require(Some(self.positions), "POSITION", "VEC3 of floats, bytes or shorts", |f| {
             f.is_vector(3) && f.component != Component::U32
-        })?;
-        require(self.normals, "NORMAL", "VEC3 of floats, or of normalized bytes or shorts", |f| {
-            f.is_vector(3) && f.is_float_or_normalized()
-        })?;
-        for (set, role) in self.tex_coords.into_iter().zip(["TEXCOORD_0", "TEXCOORD_1"]) {
-            require(set, role, "VEC2 of floats, bytes or shorts", |f| f.is_vector(2) && f.component != Component::U32)?;
-        }
-        require(self.colors, "COLOR_0", "VEC3 or VEC4 of floats, or of normalized bytes or shorts", |f| {
-            (f.is_vector(3) || f.is_vector(4)) && f.is_float_or_normalized()
         })?;
         require(self.indices, "a primitive's indices", "SCALAR of unsigned bytes, shorts or ints", |f| {
             f.is_vector(1) && matches!(f.component, Component::U8 | Component::U16 | Component::U32)
@@ -246,17 +274,67 @@ impl GeometrySource {
 
     fn check_counts(&self, document: &Document, accessors: &Accessors, pointer: &str) -> Result<()> {
         let vertex_count = accessors.get(self.positions).count;
-        // Every attribute has one element for each vertex.
-        let streams = [self.normals, self.tex_coords[0], self.tex_coords[1], self.colors];
-        for index in streams.into_iter().flatten() {
-            check_vertex_count(document, accessors, index, vertex_count, pointer)?;
-        }
         // Vertices are numbered by u32, and the triangles of a geometry are limited.
         if u32::try_from(vertex_count).is_err() || self.triangle_count(accessors) > Geometry::MAX_TRIANGLES {
             let fault = PrimitiveFault::TooLarge { max_triangles: Geometry::MAX_TRIANGLES };
             return Err(document.error_at(pointer, fault));
         }
         Ok(())
+    }
+}
+
+/// The attributes that hold the two sets of texture coordinates.
+const TEX_COORD_ROLES: [&str; 2] = ["TEXCOORD_0", "TEXCOORD_1"];
+
+impl GeometrySource {
+    /// Checks the streams without which a primitive can be drawn too: their formats, and that they have one element for
+    /// each vertex. Leaves out those that are broken. Colours that are not normalized, but should be, are kept.
+    fn leave_out_broken_streams(
+        &mut self,
+        document: &Document,
+        accessors: &Accessors,
+        pointer: &str,
+        warnings: &mut Warnings,
+    ) -> Result<()> {
+        let vertex_count = accessors.get(self.positions).count;
+        let mut check = |stream: &mut Option<usize>, role, expected, accepts: fn(Format) -> bool| {
+            let Some(index) = *stream else { return Ok(()) };
+            let format = accessors.get(index).require_format(document, role, expected, accepts);
+            let checked = format.and_then(|_| check_vertex_count(document, accessors, index, vertex_count, pointer));
+            checked.or_else(|error| {
+                *stream = None;
+                warnings.leave_out(&document.value, role, error)
+            })
+        };
+        check(&mut self.normals, "NORMAL", "VEC3 of floats, or of normalized bytes or shorts", |f| {
+            f.is_vector(3) && f.is_float_or_normalized()
+        })?;
+        // KHR_mesh_quantization allows integers here too.
+        for (set, role) in self.tex_coords.iter_mut().zip(TEX_COORD_ROLES) {
+            check(set, role, "VEC2 of floats, bytes or shorts", |f| f.is_vector(2) && f.component != Component::U32)?;
+        }
+        check(&mut self.colors, "COLOR_0", "VEC3 or VEC4 of floats, or of normalized bytes or shorts", |f| {
+            (f.is_vector(3) || f.is_vector(4)) && (f.is_float_or_normalized() || largest_fraction(f).is_some())
+        })?;
+        // Integer colours without `normalized` have one reading, since colours go from 0 to 1.
+        let Some(elements) = self.colors.map(|index| accessors.get(index)) else { return Ok(()) };
+        let format = elements.require_format(document, "COLOR_0", "VEC3 or VEC4", |_| true)?;
+        if largest_fraction(format).is_none() {
+            return Ok(());
+        }
+        let fault = AccessorFault::NotNormalized { found: format.to_string() };
+        let fallback = format!("{fault}: read as normalized");
+        warnings.forgive(&document.value, "COLOR_0", fallback, elements.error(document, fault))
+    }
+}
+
+/// The integer that stands for 1, of colours that are not marked as normalized; `None` for those that are, or are
+/// floats or signed.
+fn largest_fraction(format: Format) -> Option<f32> {
+    match (format.component, format.normalized) {
+        (Component::U8, false) => Some(u8::MAX.into()),
+        (Component::U16, false) => Some(u16::MAX.into()),
+        _ => None,
     }
 }
 
@@ -291,8 +369,39 @@ fn read_colors(document: &Document, accessors: &Accessors, index: usize, selecti
     } else {
         elements.floats::<Vec3, 3>(document, selection)?.into_iter().map(|rgb| rgb.extend(1.0)).collect()
     };
+    // Integers that are not marked as normalized were read as they are.
+    if let Some(one) = largest_fraction(format) {
+        colors
+            .iter_mut()
+            .for_each(|color| *color = (*color / one).with_w(if format.is_vector(4) { color.w / one } else { 1.0 }));
+    }
     colors.iter_mut().for_each(|c| *c = c.clamp(Vec4::ZERO, Vec4::ONE));
     Ok(colors)
+}
+
+/// The normals; those without direction are zero, so that [`normals::normalize`] computes them. `None` if not one has a
+/// direction.
+fn read_normals(
+    document: &Document,
+    accessors: &Accessors,
+    index: usize,
+    selection: Selection,
+    faults: &mut Vec<Forgivable>,
+) -> Result<Option<Vec<Vec3>>> {
+    let mut normals: Vec<Vec3> = accessors.get(index).any_floats(document, selection)?;
+    let has_direction = |normal: &Vec3| normal.is_finite() && *normal != Vec3::ZERO;
+    let Some(first) = normals.iter().position(|normal| !has_direction(normal)) else { return Ok(Some(normals)) };
+    let without = normals.iter().filter(|normal| !has_direction(normal)).count();
+    let fault = AccessorFault::NoDirection { element: selection.element(first) };
+    let all = without == normals.len();
+    let fallback = match without - 1 {
+        _ if all => format!("{fault}, as are all others: left out, the triangles' own normals are used"),
+        0 => format!("{fault}: computed from the triangles around it"),
+        more => format!("{fault}, and {more} more: computed from the triangles around them"),
+    };
+    faults.push(Forgivable { error: accessors.get(index).error(document, fault), feature: "NORMAL", fallback });
+    normals.iter_mut().filter(|normal| !has_direction(normal)).for_each(|normal| *normal = Vec3::ZERO);
+    Ok((!all).then_some(normals))
 }
 
 fn mode_name(mode: json::mesh::Mode) -> &'static str {

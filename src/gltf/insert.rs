@@ -147,7 +147,7 @@ mod tests {
 
     use glam::Vec3;
 
-    use super::super::{Budget, Buffers, ExternalFiles, ImportOptions};
+    use super::super::{Budget, Buffers, ExternalFiles, ImportOptions, Warnings};
     use super::*;
     use crate::graph::{Camera, Geometry, Texture};
 
@@ -169,11 +169,11 @@ mod tests {
     /// No file makes such plans, so they are broken here: each fails at a different step.
     #[test]
     fn whatever_fails_nothing_stays_and_the_caller_s_unused_assets_do() {
-        let mut budget = Budget::new(0, 0, None);
-        let document = Document::parse(JSON, Path::new("file.gltf"), &mut budget).unwrap();
+        let (mut budget, mut warnings) = (Budget::new(0, 0, None), Warnings::new(false));
+        let document = Document::parse(JSON, Path::new("file.gltf"), &mut budget, &mut warnings).unwrap();
         let options = ImportOptions::default();
         let files = ExternalFiles::new(document.path, &options.files);
-        let buffers = Buffers::load(&document, &files, None, &mut budget).unwrap();
+        let buffers = Buffers::load(&document, &files, None, &mut budget, &mut warnings).unwrap();
         let bad_texture =
             |plan: &mut ImportPlan| plan.textures.push(Texture { width: 1, height: 1, texels: [].into() });
         let bad_geometry = |plan: &mut ImportPlan| plan.geometries.push(triangle(Vec3::NAN));
@@ -191,7 +191,8 @@ mod tests {
         let before = counts(&scene);
         let breaks: [Break; 3] = [("texture", bad_texture), ("geometry", bad_geometry), ("node", bad_node)];
         for (step, break_plan) in breaks {
-            let mut plan = ImportPlan::new(&document, &buffers, &files, &options, Budget::new(0, 0, None)).unwrap();
+            let (budget, warnings) = (Budget::new(0, 0, None), Warnings::new(false));
+            let mut plan = ImportPlan::new(&document, &buffers, &files, &options, budget, warnings).unwrap();
             assert_eq!((plan.geometries.len(), plan.materials.len(), plan.textures.len()), (1, 1, 1));
             break_plan(&mut plan);
             let root = scene.root();

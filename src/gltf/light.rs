@@ -1,6 +1,6 @@
 //! Punctual lights: `KHR_lights_punctual`.
 
-use std::f32::consts::FRAC_PI_2;
+use std::f32::consts::{FRAC_PI_2, FRAC_PI_4};
 
 use ::gltf::json;
 use glam::Vec3;
@@ -14,7 +14,8 @@ use crate::graph::{Light, LightKind};
 
 /// The light with this index in the file; `None` if it is of a type that the extension does not define.
 pub(super) fn convert(document: &Document, index: usize, warnings: &mut Warnings) -> Result<Option<Light>> {
-    let light = &document.lights[index];
+    // One that is no light at all has been left out, with a warning.
+    let Some(light) = &document.lights[index] else { return Ok(None) };
     let pointer = format!("/extensions/KHR_lights_punctual/lights/{index}");
     // Find the kind of light.
     let kind = match light.type_ {
@@ -26,14 +27,15 @@ pub(super) fn convert(document: &Document, index: usize, warnings: &mut Warnings
             return Ok(None);
         }
     };
-    // Replace values below 0 by 0, and refuse those that are not finite.
+    // Replace values below 0 by 0; a light with one that is not finite is broken.
     let mut at_least_zero = |what: &'static str, value: f32| {
         if !value.is_finite() {
             return Err(document.error_at(&*pointer, GltfFault::NotFinite { what }));
         }
         if value < 0.0 {
             let fallback = format!("is {value}, below zero: 0 is used");
-            warnings.add(document, WarningKind::Value, what, &*pointer, fallback);
+            let error = document.error_at(&*pointer, GltfFault::OutOfRange { what, value, expected: "0 or more" });
+            warnings.forgive(&document.value, what, fallback, error)?;
         }
         Ok(value.max(0.0))
     };
@@ -69,7 +71,14 @@ fn spot(
     pointer: &str,
     warnings: &mut Warnings,
 ) -> Result<LightKind> {
-    let Some(spot) = spot else { return Err(document.error_at(pointer, GltfFault::NoProperties)) };
+    // A cone without properties has the default of each.
+    let default_spot =
+        json::extensions::scene::khr_lights_punctual::Spot { inner_cone_angle: 0.0, outer_cone_angle: FRAC_PI_4 };
+    if spot.is_none() {
+        let fallback = "a spot light has none: its cone is the default one, of 45 degrees around its axis";
+        warnings.forgive(&document.value, "spot", fallback, document.error_at(pointer, GltfFault::NoProperties))?;
+    }
+    let spot = spot.unwrap_or(&default_spot);
     // Check that both angles are finite, and the outer one above 0.
     let (inner, outer) = (spot.inner_cone_angle, spot.outer_cone_angle);
     if !inner.is_finite() {
@@ -84,7 +93,12 @@ fn spot(
     let inner_cone_angle = inner.clamp(0.0, outer_cone_angle);
     if (inner_cone_angle, outer_cone_angle) != (inner, outer) {
         let fallback = format!("are {inner} and {outer}: {inner_cone_angle} and {outer_cone_angle} are used");
-        warnings.add(document, WarningKind::Value, "cone angles", pointer, fallback);
+        let fault = GltfFault::OutOfRange {
+            what: if outer > FRAC_PI_2 { "outerConeAngle" } else { "innerConeAngle" },
+            value: if outer > FRAC_PI_2 { outer } else { inner },
+            expected: "0 to pi/2, the inner one below the outer",
+        };
+        warnings.forgive(&document.value, "cone angles", fallback, document.error_at(pointer, fault))?;
     }
     Ok(LightKind::Spot { inner_cone_angle, outer_cone_angle })
 }

@@ -9,7 +9,7 @@ use json::validation::Checked::{Invalid, Valid};
 
 use super::texture::ImageRequests;
 use super::warnings::Warnings;
-use super::{Document, GltfFault, WarningKind};
+use super::{Document, GltfFault, WarningKind, schema};
 use crate::Result;
 use crate::graph::{AlphaMode, FilterMode, Material, Sampler, TextureKey, TextureRef, WallKind, WrapMode};
 
@@ -96,9 +96,19 @@ impl<'d> MaterialConverter<'_, 'd> {
         let material = &document.materials[index];
         let pbr = &material.pbr_metallic_roughness;
         let pointer = format!("/materials/{index}");
+        // The extensions' factors, each with the default of the specification, which also replaces one that is not
+        // finite.
+        let extensions = material.extensions.as_ref();
+        let strength = extensions.and_then(|e| e.emissive_strength.as_ref()).map_or(1.0, |s| s.emissive_strength.0);
+        let strength = self.finite_or(&pointer, "emissiveStrength", strength, 1.0)?;
+        let transmission = extensions.and_then(|e| e.transmission.as_ref());
+        let factor = transmission.map_or(0.0, |t| t.transmission_factor.0);
+        let factor = self.finite_or(&pointer, "transmissionFactor", factor, 0.0)?;
+        let ior =
+            self.finite_or(&pointer, "ior", extensions.and_then(|e| e.ior.as_ref()).map_or(1.5, |i| i.ior.0), 1.5)?;
         let mut number = |what: &'static str, value: f32, range| self.clamp_with_warning(&pointer, what, value, range);
 
-        // 1. The factors.
+        // 1. The core's factors.
         let mut base_color = Vec4::from(pbr.base_color_factor.0);
         for value in base_color.as_mut() {
             *value = number("baseColorFactor", *value, UNIT)?;
@@ -107,12 +117,8 @@ impl<'d> MaterialConverter<'_, 'd> {
         for value in emissive.as_mut() {
             *value = number("emissiveFactor", *value, UNIT)?;
         }
-        // Read the extensions' factors, each with the default of the specification.
-        let extensions = material.extensions.as_ref();
-        let strength = extensions.and_then(|e| e.emissive_strength.as_ref()).map_or(1.0, |s| s.emissive_strength.0);
         let strength = number("emissiveStrength", strength, POSITIVE)?;
-        let transmission = extensions.and_then(|e| e.transmission.as_ref());
-        let ior = match extensions.and_then(|e| e.ior.as_ref()).map_or(1.5, |i| i.ior.0) {
+        let ior = match ior {
             // 0 means infinite (KHR_materials_ior).
             0.0 => 0.0,
             ior => number("ior", ior, 1.0..=f32::MAX)?,
@@ -126,7 +132,7 @@ impl<'d> MaterialConverter<'_, 'd> {
             metallic: number("metallicFactor", pbr.metallic_factor.0, UNIT)?,
             roughness: number("roughnessFactor", pbr.roughness_factor.0, UNIT)?,
             emissive,
-            transmission: number("transmissionFactor", transmission.map_or(0.0, |t| t.transmission_factor.0), UNIT)?,
+            transmission: number("transmissionFactor", factor, UNIT)?,
             ior,
             wall: match thickness {
                 None => unsaid_wall,
@@ -156,6 +162,10 @@ impl<'d> MaterialConverter<'_, 'd> {
         if let Some(volume) = extensions.and_then(|e| e.volume.as_ref()) {
             self.warn_of_attenuation(&pointer, volume, &values);
         }
+        if values.transmission > 0.0 && values.roughness > 0.0 && !values.unlit {
+            let fallback = "not supported: light is refracted as by a smooth surface";
+            self.warnings.add(document, WarningKind::Feature, "rough transmission", &*pointer, fallback);
+        }
 
         // 2. The textures.
         let mut texture = |info: Option<&json::texture::Info>| {
@@ -170,9 +180,7 @@ impl<'d> MaterialConverter<'_, 'd> {
             normal: match &material.normal_texture {
                 None => None,
                 Some(info) => {
-                    let transform = normal_transform_of(info).map_err(|e| {
-                        document.error_at(format!("{pointer}/normalTexture"), GltfFault::Schema(e.to_string()))
-                    })?;
+                    let transform = self.normal_transform_of(info, &pointer)?;
                     self.texture(&pointer, info.index.value(), info.tex_coord, transform.as_ref())?
                 }
             },
@@ -197,9 +205,13 @@ impl<'d> MaterialConverter<'_, 'd> {
         }
         // Convert the transform, and check that it did not overflow.
         let transform = transform.map_or(Affine2::IDENTITY, to_affine);
-        if !transform.is_finite() {
-            return Err(self.document.error_at(pointer, GltfFault::NotFinite { what: "a texture transform" }));
-        }
+        let transform = if transform.is_finite() {
+            transform
+        } else {
+            let error = self.document.error_at(pointer, GltfFault::NotFinite { what: "a texture transform" });
+            self.warnings.leave_out(&self.document.value, "KHR_texture_transform", error)?;
+            Affine2::IDENTITY
+        };
         let sampler = self.document.textures[texture].sampler.map(|s| &self.document.samplers[s.value()]);
         // Request the image. Textures with equal images and other samplers share it.
         let image = self.images.request(self.document, texture, self.warnings);
@@ -213,6 +225,35 @@ impl<'d> MaterialConverter<'_, 'd> {
         if values.wall == WallKind::Solid && values.transmission > 0.0 && !is_clear {
             let fallback = "not supported: light passes through it without loss";
             self.warnings.add(self.document, WarningKind::Feature, "attenuation", pointer, fallback);
+        }
+    }
+
+    /// The value, or the default of an extension whose value is not finite, with a warning.
+    fn finite_or(&mut self, pointer: &str, what: &'static str, value: f32, default: f32) -> Result<f32> {
+        if value.is_finite() {
+            return Ok(value);
+        }
+        let error = self.document.error_at(pointer, GltfFault::NotFinite { what });
+        self.warnings.forgive(&self.document.value, what, format!("is not finite: {default} is used"), error)?;
+        Ok(default)
+    }
+
+    /// `KHR_texture_transform` of a normal texture, for which the crate has no type; a broken one is left out.
+    fn normal_transform_of(
+        &mut self,
+        info: &json::material::NormalTexture,
+        pointer: &str,
+    ) -> Result<Option<json::extensions::texture::TextureTransform>> {
+        const EXTENSION: &str = "KHR_texture_transform";
+        let Some(value) = info.extensions.as_ref().and_then(|e| e.others.get(EXTENSION)) else { return Ok(None) };
+        match schema::parse(value) {
+            Ok(transform) => Ok(Some(transform)),
+            Err(fault) => {
+                let pointer = format!("{pointer}/normalTexture/extensions/{EXTENSION}");
+                let error = fault.error_at(self.document.path, &pointer);
+                self.warnings.leave_out(&self.document.value, EXTENSION, error)?;
+                Ok(None)
+            }
         }
     }
 
@@ -230,7 +271,13 @@ impl<'d> MaterialConverter<'_, 'd> {
         let clamped = value.clamp(*range.start(), *range.end());
         if clamped != value {
             let fallback = format!("is {value}, outside of its range: {clamped} is used");
-            self.warnings.add(self.document, WarningKind::Value, what, pointer, fallback);
+            let expected = match (*range.start(), *range.end()) {
+                (_, 1.0) => "0 to 1",
+                (1.0, _) => "1 or more",
+                _ => "0 or more",
+            };
+            let error = self.document.error_at(pointer, GltfFault::OutOfRange { what, value, expected });
+            self.warnings.forgive(&self.document.value, what, fallback, error)?;
         }
         Ok(clamped)
     }
@@ -254,14 +301,6 @@ fn transform_of(
     extensions: Option<&json::extensions::texture::Info>,
 ) -> Option<json::extensions::texture::TextureTransform> {
     extensions?.texture_transform.clone()
-}
-
-/// The crate has no type for the transform of a normal texture.
-fn normal_transform_of(
-    info: &json::material::NormalTexture,
-) -> Result<Option<json::extensions::texture::TextureTransform>, serde_json::Error> {
-    let value = info.extensions.as_ref().and_then(|e| e.others.get("KHR_texture_transform"));
-    value.map(serde::Deserialize::deserialize).transpose()
 }
 
 /// `KHR_texture_transform`: scale, then rotate, then translate. Positive rotations turn texture coordinates

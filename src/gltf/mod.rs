@@ -6,7 +6,8 @@
 //!   share one geometry, whatever their materials. A node with `EXT_mesh_gpu_instancing` has one transform child for
 //!   each instance.
 //! - Morph targets (at their default weights) and skins (in the rest pose of their joints) are applied to the geometry
-//!   at import. Animations are not played.
+//!   at import. Animations are not played. A skinned mesh is placed by its joints, whatever scales its node: where that
+//!   node is scaled to zero, so that nothing below it could be seen, the mesh is a child of the import's root.
 //! - Extensions supported: `EXT_mesh_gpu_instancing`, `KHR_lights_punctual`, `KHR_materials_emissive_strength`,
 //!   `KHR_materials_ior`, `KHR_materials_transmission`, `KHR_materials_unlit`, `KHR_materials_volume`,
 //!   `KHR_mesh_quantization`, `KHR_node_visibility`, `KHR_texture_transform`. A file that requires another one is
@@ -27,9 +28,23 @@
 //! own folder.
 //!
 //! A file whose node tree, indices, lengths or numbers are invalid is refused: the error names the object by its JSON
-//! pointer, and the cause as a [`GltfFault`]. Harmless errors are corrected and reported: a factor of 1.2 becomes 1, an
-//! image that cannot be decoded a magenta checkerboard. What is not guaranteed: that a file which imports is valid. Use
-//! the glTF validator for that.
+//! pointer, and the cause as a [`GltfFault`].
+//!
+//! Errors that have one reading are corrected, and a broken part costs that part and not the file; each is reported as
+//! a warning of kind [`WarningKind::Fault`], and [`ImportOptions::strict`] refuses all of them:
+//! - A factor of 1.2 becomes 1. Integer colours are read as normalized. NUL bytes after the JSON are dropped, and so is
+//!   white space in base64, which may have the letters of URLs.
+//! - A node that a scene lists although it is another's child is a root of that scene, with its own transform alone,
+//!   and not shown again below its parent (as in three.js).
+//! - A normal that is zero or not finite is computed from the triangles around it, or all of them are left out, as if
+//!   the mesh had none, where none is a direction.
+//! - A vertex whose weights are all zero hangs on its first joint; a joint that is out of range is ignored where its
+//!   weight is zero.
+//! - A spot light without cone has the one that is the default. A camera or light below a scale of zero is left out.
+//! - A broken camera, light, material extension, or stream of normals, texture coordinates or colours is left out. An
+//!   image that cannot be decoded becomes a magenta checkerboard.
+//!
+//! What is not guaranteed: that a file which imports is valid. Use the glTF validator for that.
 
 mod accessor;
 mod budget;
@@ -51,8 +66,10 @@ mod normals;
 mod plan;
 mod pose;
 mod primitives;
+mod printable;
 mod references;
 mod report;
+mod schema;
 mod skin;
 mod texture;
 mod topology;
@@ -78,6 +95,8 @@ use files::ExternalFiles;
 use node_forest::NodeForest;
 use plan::ImportPlan;
 use pose::Pose;
+pub(crate) use printable::{MAX_MESSAGE, printable};
+use warnings::Warnings;
 
 use crate::graph::{NodeKey, Scene, WallKind};
 use crate::{Cancel, Error, Result};
@@ -108,6 +127,9 @@ pub struct ImportOptions {
     pub memory_limit: Option<u64>,
     /// The token by which another thread stops the import; `None`, the default, for none.
     pub cancel: Option<Cancel>,
+    /// Whether the import fails where it would otherwise correct an error of the file that has one reading, or leave
+    /// out a broken part: all that a note of kind [`WarningKind::Fault`] is about. `false` by default.
+    pub strict: bool,
 }
 
 impl ImportOptions {
@@ -142,6 +164,13 @@ impl ImportOptions {
     #[must_use]
     pub fn with_cancel(mut self, cancel: impl Into<Option<Cancel>>) -> Self {
         self.cancel = cancel.into();
+        self
+    }
+
+    /// The same options, with errors refused that are otherwise corrected.
+    #[must_use]
+    pub fn with_strict(mut self, strict: bool) -> Self {
+        self.strict = strict;
         self
     }
 }
@@ -215,16 +244,17 @@ pub fn import_from_slice(
     parent: NodeKey,
 ) -> Result<ImportReport> {
     // Split the file into its parts, check the JSON, and read the buffers.
-    let container = Container::parse(bytes, path)?;
+    let mut warnings = Warnings::new(options.strict);
+    let container = Container::parse(bytes, path, &mut warnings)?;
     let json_bytes = container.json.len() as u64;
     let mut budget = Budget::new(json_bytes, bytes.len() as u64 - json_bytes, options.memory_limit);
-    let mut document = Document::parse(container.json, path, &mut budget)?;
+    let mut document = Document::parse(container.json, path, &mut budget, &mut warnings)?;
     document.cancel = options.cancel.clone().unwrap_or_default();
     document.cancel.check()?;
     let files = ExternalFiles::new(path, &options.files);
-    let buffers = Buffers::load(&document, &files, container.bin, &mut budget)?;
+    let buffers = Buffers::load(&document, &files, container.bin, &mut budget, &mut warnings)?;
     // Plan the whole import before the scene is changed.
-    ImportPlan::new(&document, &buffers, &files, options, budget)?.insert(&document, scene, parent)
+    ImportPlan::new(&document, &buffers, &files, options, budget, warnings)?.insert(&document, scene, parent)
 }
 
 /// The error about the object of a file at a JSON pointer (RFC 6901); the empty pointer is the whole file.

@@ -18,7 +18,7 @@ pub(super) struct NodeForest {
 }
 
 impl NodeForest {
-    /// Checks that no node has two parents or is its own ancestor, and that scenes list root nodes, each once.
+    /// Checks that no node has two parents or is its own ancestor, and that scenes list each node once.
     /// O(nodes).
     pub(super) fn new(nodes: &[json::Node], scenes: &[json::Scene], path: &Path) -> Result<Self> {
         // 1. The parent of each node: at most one.
@@ -41,8 +41,8 @@ impl NodeForest {
             return Err(error_at(path, format!("/nodes/{unreached}"), HierarchyFault::Cycle));
         }
 
-        // 3. Scenes list roots.
-        check_scenes(scenes, &parents, path)?;
+        // 3. The roots of scenes.
+        check_scenes(scenes, nodes.len(), path)?;
         Ok(Self { parents, order })
     }
 
@@ -51,13 +51,30 @@ impl NodeForest {
         (0..self.parents.len()).filter(|&i| self.parents[i].is_none()).collect()
     }
 
-    /// The matrix from each node's space to the space of the scene. O(nodes).
-    pub(super) fn scene_from_node(&self, transforms: &[Transform]) -> Vec<DAffine3> {
+    /// Where scenes list a node that has a parent: the JSON pointer and the fault of each, one by one.
+    pub(super) fn scene_roots_with_parents<'s>(
+        &'s self,
+        scenes: &'s [json::Scene],
+    ) -> impl Iterator<Item = (String, HierarchyFault)> + 's {
+        let roots = |(s, scene): (usize, &'s json::Scene)| {
+            scene.nodes.iter().enumerate().map(move |(k, node)| (s, k, node.value()))
+        };
+        let fault = |(s, k, node): (usize, usize, usize)| {
+            let parent = self.parents[node]?;
+            Some((format!("/scenes/{s}/nodes/{k}"), HierarchyFault::NotARoot { node, parent }))
+        };
+        scenes.iter().enumerate().flat_map(roots).filter_map(fault)
+    }
+
+    /// The matrix from each node's space to the space of the scene, whose roots may be children of other nodes.
+    /// O(nodes).
+    pub(super) fn scene_from_node(&self, transforms: &[Transform], is_root: &[bool]) -> Vec<DAffine3> {
         let mut world = vec![DAffine3::IDENTITY; transforms.len()];
         // Parents come first, so that their matrices are known.
         for &i in &self.order {
             let local = transforms[i].to_affine();
-            world[i] = self.parents[i].map_or(local, |parent| world[parent] * local);
+            let parent = self.parents[i].filter(|_| !is_root[i]);
+            world[i] = parent.map_or(local, |parent| world[parent] * local);
         }
         world
     }
@@ -79,15 +96,12 @@ fn topological_order(nodes: &[json::Node], parents: &[Option<usize>]) -> Vec<usi
     order
 }
 
-fn check_scenes(scenes: &[json::Scene], parents: &[Option<usize>], path: &Path) -> Result<()> {
+fn check_scenes(scenes: &[json::Scene], node_count: usize, path: &Path) -> Result<()> {
     // The last scene that listed each node tells whether a scene lists a node twice.
-    let mut last_scene = vec![None; parents.len()];
+    let mut last_scene = vec![None; node_count];
     for (s, scene) in scenes.iter().enumerate() {
         for (k, node) in scene.nodes.iter().map(json::Index::value).enumerate() {
             let pointer = || format!("/scenes/{s}/nodes/{k}");
-            if let Some(parent) = parents[node] {
-                return Err(error_at(path, pointer(), HierarchyFault::NotARoot { node, parent }));
-            }
             if last_scene[node].replace(s) == Some(s) {
                 return Err(error_at(path, pointer(), HierarchyFault::ListedTwice { node }));
             }
@@ -125,12 +139,16 @@ mod tests {
                 HierarchyFault::TwoParents { child: 2, other: 0 },
             ),
             (json!([{"children": [1, 1]}, {}]), json!([]), HierarchyFault::TwoParents { child: 1, other: 0 }),
-            (forest.clone(), json!([{"nodes": [0, 2]}]), HierarchyFault::NotARoot { node: 2, parent: 0 }),
-            (forest, json!([{"nodes": [1, 1]}]), HierarchyFault::ListedTwice { node: 1 }),
+            (forest.clone(), json!([{"nodes": [1, 1]}]), HierarchyFault::ListedTwice { node: 1 }),
         ] {
             let Err(Error::Gltf { cause, .. }) = hierarchy(nodes, scenes) else { panic!("no error: {fault}") };
             assert_eq!(cause, fault.into());
         }
+        let scenes = Vec::<json::Scene>::deserialize(json!([{"nodes": [1]}, {"nodes": [0, 2]}])).unwrap();
+        let nodes = Vec::<json::Node>::deserialize(forest).unwrap();
+        let forest = NodeForest::new(&nodes, &scenes, Path::new("a.gltf")).unwrap();
+        let found: Vec<_> = forest.scene_roots_with_parents(&scenes).collect();
+        assert_eq!(found, [("/scenes/1/nodes/1".to_owned(), HierarchyFault::NotARoot { node: 2, parent: 0 })]);
     }
 
     #[test]
@@ -141,6 +159,9 @@ mod tests {
             .collect();
         let chain = hierarchy(nodes, json!([])).unwrap();
         let transforms = vec![Transform::from_translation(DVec3::X); count];
-        assert_eq!(chain.scene_from_node(&transforms)[count - 1].translation, DVec3::new(count as f64, 0.0, 0.0));
+        assert_eq!(
+            chain.scene_from_node(&transforms, &vec![false; count])[count - 1].translation,
+            DVec3::new(count as f64, 0.0, 0.0)
+        );
     }
 }

@@ -4,6 +4,7 @@
 use std::collections::HashMap;
 
 use ::gltf::json::Index;
+use glam::DAffine3;
 use serde_json::Value;
 
 use super::material::{MaterialConverter, PlannedMaterial};
@@ -14,15 +15,16 @@ use super::walls::JudgedPrimitive;
 use super::warnings::Warnings;
 use super::{
     Accessors, Budget, Buffers, Document, ExternalFiles, GltfFault, ImportCounts, ImportOptions, SceneSelector,
-    WarningKind, camera, instancing, light, walls,
+    TransformFault, WarningKind, camera, instancing, light, skin, walls,
 };
 use crate::Result;
 use crate::graph::{Camera, Geometry, Light, Material, Texture, Transform, WallKind};
+use crate::math::MappedSpace;
 
 /// The memory that one node takes in the plan, the scene and the report, in bytes, at most.
 const BYTES_PER_NODE: usize = 1024;
 /// The memory that a shared core takes in the plan, besides the node that adds it to the scene.
-const BYTES_PER_CORE: usize = 4 * size_of::<(CoreIdentity, usize)>() + 3 * size_of::<PlannedCore>();
+const BYTES_PER_CORE: usize = 4 * size_of::<(CoreIdentity, Option<usize>)>() + 3 * size_of::<PlannedCore>();
 /// The memory that a material takes in the plan and in the scene.
 const BYTES_PER_MATERIAL: usize = 3 * (size_of::<PlannedMaterial>() + size_of::<Material>()) + 256;
 
@@ -89,20 +91,24 @@ impl ImportPlan {
         files: &ExternalFiles,
         options: &ImportOptions,
         mut budget: Budget,
+        mut warnings: Warnings,
     ) -> Result<Self> {
         // 1. Check accessors and primitives, whether or not they are imported.
-        let mut warnings = Warnings::of(document);
+        warnings.inspect(document);
         let accessors = Accessors::new(document, buffers, &mut budget)?;
         let primitives = PrimitiveRequests::new(document, buffers, &accessors, &mut warnings)?;
 
         // 2. Walk the nodes of the scene; this plans cores and materials, and requests geometries and images.
         let scene = choose_scene(document, options)?;
+        let mut is_root = vec![false; document.nodes.len()];
+        scene.into_iter().flat_map(|s| &document.scenes[s].nodes).for_each(|node| is_root[node.value()] = true);
         let mut planner = Planner {
             document,
             accessors: &accessors,
             primitives,
             images: ImageRequests::new(files),
-            scene_from_node: document.hierarchy.scene_from_node(&document.transforms),
+            scene_from_node: document.hierarchy.scene_from_node(&document.transforms, &is_root),
+            is_root,
             budget,
             warnings,
             wall: options.wall,
@@ -132,7 +138,7 @@ impl ImportPlan {
             mut counts,
             ..
         } = planner;
-        let geometries = primitives.build(document, &accessors, &mut budget)?;
+        let geometries = primitives.build(document, &accessors, &mut budget, &mut warnings)?;
         let textures = images.decode(document, buffers, &mut budget, &mut warnings)?;
         walls::report(document, &geometries, &walls_to_judge, &mut warnings);
         warnings.charge(document, &mut budget)?;
@@ -177,7 +183,10 @@ struct Planner<'a, 'd> {
     accessors: &'a Accessors<'a>,
     primitives: PrimitiveRequests,
     images: ImageRequests<'d>,
-    scene_from_node: Vec<glam::DAffine3>,
+    /// The nodes that the imported scene lists. One that is another node's child too is not shown below that.
+    is_root: Vec<bool>,
+    /// The matrix from each node's space to that of the scene.
+    scene_from_node: Vec<DAffine3>,
     budget: Budget,
     warnings: Warnings,
     /// What transmissive surfaces bound where the file does not say.
@@ -186,8 +195,8 @@ struct Planner<'a, 'd> {
     walls_to_judge: Vec<JudgedPrimitive>,
     nodes: Vec<PlannedNode>,
     cores: Vec<PlannedCore>,
-    /// The index of each shared core in `cores`.
-    core_indices: HashMap<CoreIdentity, usize>,
+    /// The index of each shared core in `cores`; `None` for one that is left out.
+    core_indices: HashMap<CoreIdentity, Option<usize>>,
     materials: Vec<PlannedMaterial>,
     /// The index of each material in `materials`, by its index in the file; `None` is the default material.
     material_indices: HashMap<Option<usize>, usize>,
@@ -208,7 +217,8 @@ impl Planner<'_, '_> {
         let mut pending: Vec<(usize, Option<usize>)> = roots.into_iter().rev().map(|node| (node, None)).collect();
         while let Some((node, parent)) = pending.pop() {
             let planned_node = self.plan_node(node, parent)?;
-            pending.extend(children(&self.document.nodes[node]).rev().map(|child| (child, Some(planned_node))));
+            let children = children(&self.document.nodes[node]).filter(|child| !self.is_root[*child]);
+            pending.extend(children.rev().map(|child| (child, Some(planned_node))));
         }
         Ok(())
     }
@@ -265,16 +275,29 @@ impl Planner<'_, '_> {
         let instances = instancing::transforms(document, self.accessors, &mut self.budget, node, &mut self.warnings)?;
         let name = document.meshes[mesh].name.as_deref().unwrap_or_default();
         match instances {
-            // Without instances, the primitives are children of the node.
+            // Without instances, the primitives are children of the node; except those that their joints place, if the
+            // node flattens what is below it.
             None => {
                 self.counts.scene_triangles += triangles;
-                cores.into_iter().try_for_each(|core| {
-                    self.add_node(node, Some(planned_node), name, NodeContent::Core(core)).map(drop)
-                })
+                let flattens = skin::node_from_scene(&self.scene_from_node[node]).is_none();
+                for (primitive_use, core) in uses.iter().zip(cores) {
+                    if flattens && primitive_use.is_skinned {
+                        let is_visible = self.is_shown(planned_node);
+                        let root_child = self.add_node(node, None, name, NodeContent::Core(core))?;
+                        self.nodes[root_child].visible = is_visible;
+                    } else {
+                        self.add_node(node, Some(planned_node), name, NodeContent::Core(core))?;
+                    }
+                }
+                if uses.iter().any(|primitive_use| !primitive_use.is_skinned) {
+                    self.warn_of_lost_area(node, &[Transform::IDENTITY], format!("/nodes/{node}"));
+                }
+                Ok(())
             }
             // With instances, each is a node for its transform, and below it are nodes with the shared cores.
             Some(instances) => {
                 self.counts.scene_triangles += triangles * instances.len() as u64;
+                self.warn_of_lost_area(node, &instances, format!("/nodes/{node}/extensions/EXT_mesh_gpu_instancing"));
                 for transform in instances {
                     let instance = self.add_node(node, Some(planned_node), "", NodeContent::Transform(transform))?;
                     for &core in &cores {
@@ -286,11 +309,43 @@ impl Planner<'_, '_> {
         }
     }
 
+    /// Whether a planned node and all above it are visible.
+    fn is_shown(&self, planned_node: usize) -> bool {
+        let mut node_and_above = std::iter::successors(Some(planned_node), |&node| self.nodes[node].parent);
+        node_and_above.all(|node| self.nodes[node].visible)
+    }
+
+    /// Warns if the mesh of a node is flattened to a line or a point, or some of its instances are.
+    fn warn_of_lost_area(&mut self, node: usize, instances: &[Transform], pointer: String) {
+        let world = self.scene_from_node[node].matrix3;
+        let is_lost = |i: &usize| MappedSpace::of(&(world * instances[*i].to_affine().matrix3)) == MappedSpace::Line;
+        let mut lost = (0..instances.len()).filter(is_lost);
+        let Some(first) = lost.next() else { return };
+        let fallback = match (instances.len(), lost.count()) {
+            (1, _) => "is zero along at least two axes: nothing of the mesh is seen".to_owned(),
+            (_, 0) => format!("of instance {first} is zero along at least two axes: nothing of it is seen"),
+            (_, more) => {
+                format!("of instance {first} and {more} more is zero along at least two axes: nothing of them is seen")
+            }
+        };
+        self.warnings.add(self.document, WarningKind::Value, "scale", pointer, fallback);
+    }
+
+    /// Whether a node keeps all directions. If not, warns that its camera or light is left out.
+    fn has_directions(&mut self, node: usize, what: String) -> Result<bool> {
+        if MappedSpace::of(&self.scene_from_node[node].matrix3) == MappedSpace::Space {
+            return Ok(true);
+        }
+        let error = self.document.error_at(format!("/nodes/{node}"), TransformFault::ZeroScale);
+        self.warnings.leave_out(&self.document.value, what, error)?;
+        Ok(false)
+    }
+
     /// Plans the core of a primitive, its geometry and material, once; returns its index in `cores`.
     fn geometry_core(&mut self, mesh: usize, primitive_use: &PrimitiveUse) -> Result<usize> {
         let &PrimitiveUse { geometry, primitive, .. } = primitive_use;
         let identity = CoreIdentity::Primitive { mesh, primitive, geometry };
-        if let Some(&core) = self.core_indices.get(&identity) {
+        if let Some(&Some(core)) = self.core_indices.get(&identity) {
             return Ok(core);
         }
         // Plan the primitive's material, and warn of what it needs and the primitive lacks.
@@ -342,39 +397,67 @@ impl Planner<'_, '_> {
     }
 
     fn plan_camera(&mut self, node: usize, camera: usize, planned_node: usize) -> Result<()> {
+        if !self.has_directions(node, format!("camera {camera}"))? {
+            return Ok(());
+        }
         let identity = CoreIdentity::Camera(camera);
-        // Nodes with the same camera share its core; a camera of unknown type is left out.
+        // Nodes with the same camera share its core; a camera of unknown type is left out, and one that is broken.
         let core = match self.core_indices.get(&identity) {
             Some(&core) => core,
-            None => match camera::convert(self.document, camera, &mut self.warnings)? {
-                None => return Ok(()),
-                Some(value) => self.add_core(identity, PlannedCore::Camera(value, camera))?,
-            },
+            None => {
+                let value = camera::convert(self.document, camera, &mut self.warnings);
+                let core = self.whole("camera", value)?.map(|value| PlannedCore::Camera(value, camera));
+                self.add_or_leave_out(identity, core)?
+            }
         };
-        let name = self.document.cameras[camera].name.as_deref().unwrap_or_default();
+        let Some(core) = core else { return Ok(()) };
+        let name = self.document.cameras[camera].as_ref().and_then(|camera| camera.name.as_deref()).unwrap_or_default();
         self.add_node(node, Some(planned_node), name, NodeContent::Core(core)).map(drop)
     }
 
     fn plan_light(&mut self, node: usize, light: usize, planned_node: usize) -> Result<()> {
+        if !self.has_directions(node, format!("light {light}"))? {
+            return Ok(());
+        }
         let identity = CoreIdentity::Light(light);
-        // Nodes with the same light share its core; a light of unknown type is left out.
+        // Nodes with the same light share its core; a light of unknown type is left out, and one that is broken.
         let core = match self.core_indices.get(&identity) {
             Some(&core) => core,
-            None => match light::convert(self.document, light, &mut self.warnings)? {
-                None => return Ok(()),
-                Some(value) => self.add_core(identity, PlannedCore::Light(value, light))?,
-            },
+            None => {
+                let value = light::convert(self.document, light, &mut self.warnings);
+                let core = self.whole("light", value)?.map(|value| PlannedCore::Light(value, light));
+                self.add_or_leave_out(identity, core)?
+            }
         };
-        let name = self.document.lights[light].name.as_deref().unwrap_or_default();
+        let Some(core) = core else { return Ok(()) };
+        let name = self.document.lights[light].as_ref().and_then(|light| light.name.as_deref()).unwrap_or_default();
         self.add_node(node, Some(planned_node), name, NodeContent::Core(core)).map(drop)
     }
 
-    /// Adds a shared core to the plan; returns its index in `cores`.
+    /// The camera or light, or `None` with a warning if it is broken.
+    fn whole<T>(&mut self, what: &str, value: Result<Option<T>>) -> Result<Option<T>> {
+        value.or_else(|error| {
+            self.warnings.leave_out(&self.document.value, what, error)?;
+            Ok(None)
+        })
+    }
+
+    /// Adds a core to the plan, which nodes can share; returns its index in `cores`.
     fn add_core(&mut self, identity: CoreIdentity, core: PlannedCore) -> Result<usize> {
         self.budget.charge(1, BYTES_PER_CORE, self.document, String::new)?;
         self.cores.push(core);
-        self.core_indices.insert(identity, self.cores.len() - 1);
+        self.core_indices.insert(identity, Some(self.cores.len() - 1));
         Ok(self.cores.len() - 1)
+    }
+
+    /// As [`add_core`](Self::add_core); `None` for one that is left out.
+    fn add_or_leave_out(&mut self, identity: CoreIdentity, core: Option<PlannedCore>) -> Result<Option<usize>> {
+        if let Some(core) = core {
+            return self.add_core(identity, core).map(Some);
+        }
+        self.budget.charge(1, BYTES_PER_CORE, self.document, String::new)?;
+        self.core_indices.insert(identity, None);
+        Ok(None)
     }
 
     /// Adds a node to the plan, on behalf of a node of the file; returns its index in `nodes`.

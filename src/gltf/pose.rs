@@ -11,6 +11,7 @@ use json::validation::Checked::Valid;
 use super::accessor::Selection;
 use super::format::{Component, Format};
 use super::geometry::check_vertex_count;
+use super::warnings::{Forgivable, cause_of};
 use super::{AccessorFault, Accessors, Budget, Document, GltfFault, normals};
 use crate::Result;
 
@@ -90,7 +91,14 @@ impl Pose {
         self.morphs.len() * 2 * size_of::<Vec3>() + sets * (size_of::<[u32; 4]>() + size_of::<Vec4>())
     }
 
-    /// Moves the selected vertices into the rest pose; returns whether all positions are finite there.
+    /// The most faults that [`apply`](Self::apply) adds.
+    pub(super) fn max_faults(&self) -> usize {
+        self.skin.as_ref().map_or(0, |skin| skin.sets.len() + 1)
+    }
+
+    /// Moves the selected vertices into the rest pose; returns whether all positions are finite there. Adds to `faults`
+    /// what is wrong with joints and weights, but has one reading.
+    #[expect(clippy::too_many_arguments, reason = "the streams of a primitive, and where they come from")]
     pub(super) fn apply(
         &self,
         document: &Document,
@@ -99,6 +107,7 @@ impl Pose {
         selection: Selection,
         positions: &mut [Vec3],
         mut normals: Option<&mut [Vec3]>,
+        faults: &mut Vec<Forgivable>,
     ) -> Result<bool> {
         // Add the weighted displacements of the morph targets.
         for morph in &self.morphs {
@@ -110,7 +119,7 @@ impl Pose {
         }
         // Move the result with the joints.
         if let Some(skin) = &self.skin {
-            skin.apply(document, accessors, &palettes[skin.palette], selection, positions, normals)?;
+            skin.apply(document, accessors, &palettes[skin.palette], selection, (positions, normals), faults)?;
         }
         // Large weights, displacements and matrices can overflow.
         Ok(positions.iter().all(|p| p.is_finite()))
@@ -146,22 +155,32 @@ impl Skin {
         accessors: &Accessors,
         palette: &[DAffine3],
         selection: Selection,
-        positions: &mut [Vec3],
-        mut normals: Option<&mut [Vec3]>,
+        (positions, mut normals): (&mut [Vec3], Option<&mut [Vec3]>),
+        faults: &mut Vec<Forgivable>,
     ) -> Result<()> {
         // 1. Read the joints and weights of the selected vertices.
         let mut sets = Vec::new();
         for &(joints, weights) in &self.sets {
-            let joints = read_joints(document, accessors, joints, palette.len(), selection)?;
-            sets.push((joints, accessors.get(weights).floats::<Vec4, 4>(document, selection)?));
+            let weights = accessors.get(weights).floats::<Vec4, 4>(document, selection)?;
+            let (joints, fault) = read_joints(document, accessors, joints, palette.len(), selection, Some(&weights))?;
+            faults.extend(fault);
+            sets.push((joints, weights));
         }
         // 2. Transform each vertex by its blended joint matrix, and its normal by the cofactor matrix.
+        let (mut weightless, mut weightless_count) = (None, 0_usize);
         for (vertex, position) in positions.iter_mut().enumerate() {
             let influences = sets.iter().flat_map(|(joints, weights)| {
-                joints[vertex].iter().zip(weights[vertex].to_array()).map(|(&joint, w)| (&palette[joint as usize], w))
+                let influences = joints[vertex].iter().zip(weights[vertex].to_array());
+                influences.filter_map(|(&joint, weight)| Some((palette.get(joint as usize)?, weight)))
             });
-            // A vertex without a weight above 0 stays where it is.
-            let Some(matrix) = blend_joint_matrices(influences) else { continue };
+            // A vertex without a weight above 0 hangs on its first joint alone.
+            let matrix = blend_joint_matrices(influences).or_else(|| {
+                weightless.get_or_insert(vertex);
+                weightless_count += 1;
+                palette.get(sets.first()?.0[vertex][0] as usize).copied()
+            });
+            // A skin without joints moves nothing.
+            let Some(matrix) = matrix else { continue };
             *position = matrix.transform_point3(position.as_dvec3()).as_vec3();
             if let Some(normals) = normals.as_deref_mut() {
                 let normal = cofactor(&matrix.matrix3) * normals[vertex].as_dvec3();
@@ -169,33 +188,64 @@ impl Skin {
                 normals[vertex] = normals::try_unit_vector(normal).unwrap_or(Vec3::ZERO);
             }
         }
+
+        // 3. Tell of vertices without weights, by the accessor of the first set.
+        if let (Some(first), Some(&(_, weights))) = (weightless, self.sets.first()) {
+            let fault = AccessorFault::NoWeight { element: selection.element(first) };
+            let fallback = match weightless_count - 1 {
+                0 => format!("{fault}: the vertex hangs on its first joint"),
+                more => format!("{fault}, and of {more} more: these vertices hang on their first joints"),
+            };
+            let error = accessors.get(weights).error(document, fault);
+            faults.push(Forgivable { error, feature: "WEIGHTS_0", fallback });
+        }
         Ok(())
     }
 }
 
-/// The joints of the selected vertices, each below `joint_count`.
+/// The joints of the selected vertices, each below `joint_count`. A joint that is not is an error, unless its weight is
+/// not above 0: then it becomes the first joint, and the fault is returned. Without `weights`, all joints count.
 fn read_joints(
     document: &Document,
     accessors: &Accessors,
     index: usize,
     joint_count: usize,
     selection: Selection,
-) -> Result<Vec<[u32; 4]>> {
-    let joints: Vec<[u32; 4]> = accessors.get(index).integers(document, selection)?;
-    match joints.iter().flatten().copied().find(|&joint| joint as usize >= joint_count) {
-        None => Ok(joints),
-        Some(joint) => {
-            let fault = AccessorFault::JointOutOfRange { joint, joint_count };
-            Err(document.error_at(format!("/accessors/{index}"), fault))
+    weights: Option<&[Vec4]>,
+) -> Result<(Vec<[u32; 4]>, Option<Forgivable>)> {
+    let mut joints: Vec<[u32; 4]> = accessors.get(index).integers(document, selection)?;
+    let (mut unused, mut unused_count) = (None, 0);
+    for (vertex, joint) in joints
+        .iter_mut()
+        .enumerate()
+        .flat_map(|(vertex, four)| four.iter_mut().enumerate().map(move |(slot, joint)| ((vertex, slot), joint)))
+    {
+        if (*joint as usize) < joint_count {
+            continue;
         }
+        let error = accessors.get(index).error(document, AccessorFault::JointOutOfRange { joint: *joint, joint_count });
+        let (vertex, slot) = vertex;
+        if weights.is_none_or(|weights| weights[vertex][slot] > 0.0) {
+            return Err(error);
+        }
+        unused_count += 1;
+        unused.get_or_insert(error);
+        *joint = 0;
     }
+    let fault = unused.map(|error| {
+        let more = if unused_count == 1 { String::new() } else { format!(", and {} more", unused_count - 1) };
+        let fallback = format!("{}{more}: ignored, since the weight is zero", cause_of(&error));
+        Forgivable { error, feature: "JOINTS", fallback }
+    });
+    Ok((joints, fault))
 }
 
-/// Checks that a JOINTS accessor stays below the number of joints, whether or not a node uses it.
+/// Checks that a JOINTS accessor stays below the number of joints, whether or not a node uses it; except where the
+/// accessor of the weights, if there is one, says that a joint has none.
 pub(super) fn check_joints(
     document: &Document,
     accessors: &Accessors,
-    index: usize,
+    (index, weights): (usize, Option<usize>),
     joint_count: usize,
     budget: &mut Budget,
 ) -> Result<()> {
@@ -204,8 +254,12 @@ pub(super) fn check_joints(
     if !elements.has_data() {
         return Ok(());
     }
-    budget.charge(elements.count, size_of::<[u32; 4]>(), document, || format!("/accessors/{index}"))?;
-    read_joints(document, accessors, index, joint_count, Selection::All).map(drop)
+    let size = size_of::<[u32; 4]>() + size_of::<Vec4>();
+    budget.charge(elements.count, size, document, || format!("/accessors/{index}"))?;
+    // Weights that cannot be read excuse nothing.
+    let weights = weights.map(|weights| accessors.get(weights)).filter(|weights| weights.count == elements.count);
+    let weights = weights.and_then(|weights| weights.floats::<Vec4, 4>(document, Selection::All).ok());
+    read_joints(document, accessors, index, joint_count, Selection::All, weights.as_deref()).map(drop)
 }
 
 fn is_joints(format: Format) -> bool {

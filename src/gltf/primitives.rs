@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use super::geometry::{GeometrySource, SkipReason};
 use super::pose::check_joints;
-use super::warnings::Warnings;
+use super::warnings::{Forgivable, Warnings};
 use super::{Accessors, Budget, Buffers, Document, Pose, WarningKind, skin};
 use crate::Result;
 use crate::graph::Geometry;
@@ -39,6 +39,8 @@ pub(super) struct PrimitiveUse {
     pub(super) triangle_count: usize,
     /// Which sets of texture coordinates it has.
     pub(super) has_tex_coords: [bool; 2],
+    /// Whether it hangs on the joints of the node's skin.
+    pub(super) is_skinned: bool,
 }
 
 impl PrimitiveRequests {
@@ -57,7 +59,8 @@ impl PrimitiveRequests {
             let mut mesh_sources = Vec::with_capacity(mesh.primitives.len());
             for (p, primitive) in mesh.primitives.iter().enumerate() {
                 let pointer = pointer(m, p);
-                let source = GeometrySource::new(document, accessors, &canonical_accessor, primitive, &pointer)?;
+                let source =
+                    GeometrySource::new(document, accessors, &canonical_accessor, primitive, &pointer, warnings)?;
                 mesh_sources.push(source.map_err(|reason| warn_of_skip(document, &reason, pointer, warnings)).ok());
             }
             sources.push(mesh_sources);
@@ -72,7 +75,7 @@ impl PrimitiveRequests {
     }
 
     /// Requests the geometries of a node's mesh, in the node's rest pose. `scene_from_node` are the matrices of all
-    /// nodes.
+    /// nodes. Skinned primitives are in the space of the node or, if nothing can be seen in that, of the scene.
     pub(super) fn request(
         &mut self,
         document: &Document,
@@ -110,9 +113,15 @@ impl PrimitiveRequests {
                 Pose::new(document, accessors, &self.canonical_accessor, primitive, (weights, palette), positions)?;
             // A skin has no effect on a mesh without joints and weights.
             if document.nodes[node].skin.is_some() && !pose.is_skinned() {
-                let fallback = "not applied: the mesh has no JOINTS and WEIGHTS attributes";
-                warnings.add(document, WarningKind::Data, "skin", format!("/nodes/{node}"), fallback);
+                // The primitive may also lack them only in effect: the skin's own matrices are missing.
+                let fallback = if palette.is_some() {
+                    format!("that of node {node} is not applied: the primitive lacks JOINTS_0 or WEIGHTS_0")
+                } else {
+                    format!("that of node {node} is not applied: its matrices are missing")
+                };
+                warnings.add(document, WarningKind::Data, "skin", &*pointer, fallback);
             }
+            let is_skinned = pose.is_skinned();
             let source = source.with_pose(pose);
 
             // 3. The geometry that was requested for an equal source, or a new one.
@@ -127,7 +136,7 @@ impl PrimitiveRequests {
                     self.requested.len() - 1
                 }
             };
-            uses.push(PrimitiveUse { geometry, primitive: p, triangle_count, has_tex_coords });
+            uses.push(PrimitiveUse { geometry, primitive: p, triangle_count, has_tex_coords, is_skinned });
         }
         Ok(uses)
     }
@@ -138,6 +147,7 @@ impl PrimitiveRequests {
         document: &Document,
         accessors: &Accessors,
         budget: &mut Budget,
+        warnings: &mut Warnings,
     ) -> Result<Vec<Geometry>> {
         // 1. Check what no requested geometry reads.
         let built: HashSet<_> = self.requested.iter().map(|(source, _)| source.index_check_key()).collect();
@@ -151,9 +161,25 @@ impl PrimitiveRequests {
         check_all_joints(document, accessors, &self.canonical_accessor, budget)?;
 
         // 2. Build.
-        let build =
-            |(source, pointer): &(GeometrySource, String)| source.build(document, accessors, &self.palettes, pointer);
-        self.requested.par_iter().map(build).collect()
+        let build = |(source, pointer): &(GeometrySource, String)| {
+            let mut faults = Vec::new();
+            let geometry = source.build(document, accessors, &self.palettes, pointer, &mut faults)?;
+            Ok((geometry, faults))
+        };
+        let built: Vec<(Geometry, Vec<Forgivable>)> = self.requested.par_iter().map(build).collect::<Result<_>>()?;
+
+        // 3. Forgive, in the order of the requests. Geometries that share an accessor share its faults.
+        let mut told = HashSet::new();
+        let mut geometries = Vec::with_capacity(built.len());
+        for (geometry, faults) in built {
+            for Forgivable { error, feature, fallback } in faults {
+                if told.insert((error.to_string(), feature)) {
+                    warnings.forgive(&document.value, feature, fallback, error)?;
+                }
+            }
+            geometries.push(geometry);
+        }
+        Ok(geometries)
     }
 }
 
@@ -189,14 +215,16 @@ fn check_all_joints(
 ) -> Result<()> {
     let skinned = |node: &json::Node| Some((node.mesh?.value(), document.skins[node.skin?.value()].joints.len()));
     let skinned: HashSet<(usize, usize)> = document.nodes.iter().filter_map(skinned).collect();
-    // Check each accessor of joints once for each number of joints that a skin has.
+    // Check each accessor of joints, with its weights, once for each number of joints that a skin has.
     let mut checked = HashSet::new();
     for (mesh, joint_count) in skinned {
         for primitive in &document.meshes[mesh].primitives {
-            let joints = (0..).map_while(|set| primitive.attributes.get(&Valid(Semantic::Joints(set))));
-            for joints in joints.map(|index| canonical_accessor[index.value()]) {
-                if checked.insert((joints, joint_count)) {
-                    check_joints(document, accessors, joints, joint_count, budget)?;
+            let attribute =
+                |semantic| primitive.attributes.get(&Valid(semantic)).map(|index| canonical_accessor[index.value()]);
+            let set = |n| Some((attribute(Semantic::Joints(n))?, attribute(Semantic::Weights(n))));
+            for set in (0..).map_while(set) {
+                if checked.insert((set, joint_count)) {
+                    check_joints(document, accessors, set, joint_count, budget)?;
                 }
             }
         }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use super::{GltfFault, error_at};
+use super::{GltfFault, error_at, schema};
 use crate::Result;
 
 /// Where indices are, as a JSON pointer in which `*` stands for every element or member, and the array they point into.
@@ -88,7 +88,7 @@ fn check_range(value: &Value, count: usize, target: &'static str) -> Result<(), 
     match value.as_u64() {
         Some(index) if index < count as u64 => Ok(()),
         Some(index) => Err(GltfFault::IndexOutOfRange { index, count, target }),
-        None => Err(GltfFault::NotAnIndex { found: value.to_string(), target }),
+        None => Err(GltfFault::NotAnIndex { found: schema::describe(value), target }),
     }
 }
 
@@ -122,7 +122,7 @@ fn visit(
 }
 
 /// Appends a key to a JSON pointer (RFC 6901).
-fn push_key(pointer: &mut String, key: &str) {
+pub(super) fn push_key(pointer: &mut String, key: &str) {
     pointer.push('/');
     pointer.push_str(&key.replace('~', "~0").replace('/', "~1"));
 }

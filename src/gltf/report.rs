@@ -5,6 +5,7 @@ use std::fmt;
 
 use serde::Serialize;
 
+use super::{MAX_MESSAGE, printable};
 use crate::graph::NodeKey;
 
 /// What an import has added to a scene, and what in the file is unsupported or only approximated.
@@ -126,27 +127,31 @@ pub enum WarningKind {
     Extension,
     /// A feature of glTF, or of a supported extension, that is not supported or only approximated.
     Feature,
-    /// A value outside of its range, or one that cannot be used; it was corrected.
+    /// A value that is valid, but cannot be used as it is.
     Value,
-    /// Data that the file lacks or that cannot be read; it was left out or replaced.
+    /// Data that the file lacks; it was left out or replaced.
     Data,
     /// Something that the file does not say, and what was taken for it.
     Guess,
+    /// An error of the file that has one reading and was corrected, or whose part alone was left out. An import with
+    /// [`ImportOptions::strict`](super::ImportOptions::strict) fails instead.
+    Fault,
 }
 
 impl fmt::Display for UnlistedWarnings {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let feature = if self.feature.is_empty() { "various features" } else { &self.feature };
-        write!(f, "{} more: {feature}", self.count)
+        // The name of an extension may hold anything.
+        write!(f, "{} more: {}", self.count, printable(feature, MAX_MESSAGE))
     }
 }
 
 impl fmt::Display for ImportWarning {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}", self.pointer)?;
-        if !self.name.is_empty() {
-            write!(f, " \"{}\"", self.name)?;
-        }
-        write!(f, ": {}: {}", self.feature, self.fallback)
+        let name = if self.name.is_empty() { String::new() } else { format!(" \"{}\"", self.name) };
+        let object = if self.pointer.is_empty() { "the file" } else { &self.pointer };
+        // All of it may quote the file, which may hold anything.
+        let text = format!("{object}{name}: {}: {}", self.feature, self.fallback);
+        f.write_str(&printable(&text, MAX_MESSAGE))
     }
 }

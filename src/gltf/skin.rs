@@ -7,12 +7,21 @@ use super::format::{Component, Shape};
 use super::warnings::Warnings;
 use super::{Accessors, Budget, Document, SkinFault, WarningKind};
 use crate::Result;
+use crate::math::MappedSpace;
 
-/// For each joint the matrix from the mesh's bind pose to the space of the skinned node.
+/// The matrix from the scene to a node's space; `None` for a node that flattens what is below it.
+pub(super) fn node_from_scene(scene_from_node: &DAffine3) -> Option<DAffine3> {
+    let is_invertible = MappedSpace::of(&scene_from_node.matrix3) == MappedSpace::Space;
+    is_invertible.then(|| scene_from_node.inverse()).filter(DAffine3::is_finite)
+}
+
+/// For each joint the matrix from the mesh's bind pose to the space of the skinned node; to that of the scene, if the
+/// node flattens what is below it ([`node_from_scene`]). `None`, with a warning, if the file does not hold the inverse
+/// bind matrices.
 ///
 /// By the specification the transform of a skinned node is ignored: its joints define the position. Here the mesh is a
-/// child of that node, so the node's transform is divided out of the joint matrices. `None`, with a warning, if that
-/// transform is singular or the file does not hold the inverse bind matrices.
+/// child of that node, so the node's transform is divided out of the joint matrices; where it cannot be, the mesh is a
+/// child of the import's root instead.
 pub(super) fn palette(
     document: &Document,
     accessors: &Accessors,
@@ -26,12 +35,7 @@ pub(super) fn palette(
     budget.charge(joints.len(), size_of::<DAffine3>() + size_of::<[f32; 16]>(), document, pointer)?;
 
     // 1. The inverse of the node's own transform.
-    let node_from_scene = scene_from_node[node].inverse();
-    if !node_from_scene.is_finite() {
-        let fallback = "not applied: the node's own transform is singular, and its mesh cannot be seen";
-        warnings.add(document, WarningKind::Value, "skin", format!("/nodes/{node}"), fallback);
-        return Ok(None);
-    }
+    let node_from_scene = node_from_scene(&scene_from_node[node]).unwrap_or(DAffine3::IDENTITY);
 
     // 2. The inverse bind matrices.
     let bind = document.skins[skin].inverse_bind_matrices;

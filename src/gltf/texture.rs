@@ -9,8 +9,9 @@ use ::image::{ImageFormat, ImageReader, Limits};
 use rayon::prelude::*;
 
 use super::files::{ExternalFiles, UriTarget};
+use super::uri::spelling_fault;
 use super::warnings::Warnings;
-use super::{Budget, Buffers, Document, UriFault, WarningKind};
+use super::{Budget, Buffers, Document, GltfFault, UriFault, WarningKind};
 use crate::Result;
 use crate::graph::Texture;
 
@@ -122,6 +123,9 @@ impl<'d> ImageRequests<'d> {
         let mut encoded = Vec::with_capacity(self.requested.len());
         for image in &self.requested {
             document.cancel.check()?;
+            if let Some(image) = image {
+                warn_of_spelling(document, *image, warnings)?;
+            }
             encoded.push(image.map(|image| read(document, buffers, self.files, image)).transpose()?);
         }
 
@@ -149,7 +153,8 @@ impl<'d> ImageRequests<'d> {
                 Some(Ok(texture)) => texture,
                 Some(Err(fault)) => {
                     let pointer = format!("/images/{}", image.unwrap_or_default());
-                    warnings.add(document, WarningKind::Data, "image", pointer, fault.fallback_text());
+                    let error = document.error_at(pointer, GltfFault::Image(fault.to_string()));
+                    warnings.forgive(&document.value, "image", fault.fallback_text(), error)?;
                     checkerboard()
                 }
             });
@@ -165,6 +170,16 @@ fn source_of<'d>(document: &'d Document, files: &ExternalFiles, image: usize) ->
         (None, Some(uri)) => files.resolve(uri).map_or(ImageSource::Unresolved(image), ImageSource::Uri),
         (None, None) => ImageSource::Unresolved(image),
     }
+}
+
+/// Warns if the data URI of an image is spelled against the rules, although it can be read.
+fn warn_of_spelling(document: &Document, image: usize, warnings: &mut Warnings) -> Result<()> {
+    let object = &document.images[image];
+    let uri = object.uri.as_ref().filter(|_| object.buffer_view.is_none());
+    let Some(fault) = uri.and_then(|uri| spelling_fault(uri)) else { return Ok(()) };
+    let fallback = format!("{fault}: read as if it had not");
+    let error = document.error_at(format!("/images/{image}/uri"), GltfFault::Image(fault.to_string()));
+    warnings.forgive(&document.value, "URI", fallback, error)
 }
 
 /// The encoded bytes of an image. The inner error is one that a checkerboard stands in for.

@@ -64,11 +64,37 @@ pub(super) fn check_relative(path: &str) -> Result<(), UriFault> {
 /// first bytes.
 pub(super) fn decode_data(data: &str) -> Result<Vec<u8>, UriFault> {
     let (kind, payload) = data.split_once(',').ok_or(UriFault::NoComma)?;
-    let payload: Cow<'_, [u8]> = percent_decode_str(payload).into();
+    let mut payload: Cow<'_, [u8]> = percent_decode_str(payload).into();
     if !kind.to_ascii_lowercase().ends_with(";base64") {
         return Ok(payload.into_owned());
     }
+    if has_odd_spelling(&payload) {
+        // In place, so that there is one copy of the text at most.
+        payload.to_mut().retain_mut(|byte| plain_letter(*byte).map(|plain| *byte = plain).is_some());
+    }
     BASE64.decode(payload).map_err(|e| UriFault::Base64(e.to_string()))
+}
+
+/// How a URI is spelled against the rules, although it can be read.
+pub(super) fn spelling_fault(uri: &str) -> Option<UriFault> {
+    let (kind, payload) = strip_data_scheme(uri)?.split_once(',')?;
+    let payload: Cow<'_, [u8]> = percent_decode_str(payload).into();
+    let is_odd = kind.to_ascii_lowercase().ends_with(";base64") && has_odd_spelling(&payload);
+    is_odd.then_some(UriFault::Base64Spelling)
+}
+
+/// Whether base64 text has white space in it, or the letters of URLs.
+fn has_odd_spelling(base64: &[u8]) -> bool {
+    base64.iter().any(|&byte| plain_letter(byte) != Some(byte))
+}
+
+/// A letter of base64 as RFC 4648 has it in the standard alphabet; `None` for white space, which is left out.
+fn plain_letter(byte: u8) -> Option<u8> {
+    match byte {
+        b'-' => Some(b'+'),
+        b'_' => Some(b'/'),
+        byte => (!byte.is_ascii_whitespace()).then_some(byte),
+    }
 }
 
 #[cfg(test)]
@@ -89,5 +115,13 @@ mod tests {
         assert_eq!(read_here("data:,abc").unwrap(), b"abc");
         assert_eq!(read_here("data:abc"), Err(UriFault::NoComma));
         assert!(matches!(read_here("data:;base64,A*=="), Err(UriFault::Base64(_))));
+        // 0xFB 0xFF is "+/8=" in the standard alphabet.
+        for uri in ["data:;base64,-_8=", "data:;base64,-_8", "data:;base64, +/\r\n8=\n", "data:;base64,+/%0A8="] {
+            assert_eq!(read_here(uri).unwrap(), [0xFB, 0xFF], "{uri}");
+            assert_eq!(spelling_fault(uri), Some(UriFault::Base64Spelling), "{uri}");
+        }
+        assert_eq!(spelling_fault("data:;base64,+/8="), None);
+        assert_eq!(spelling_fault("data:,-_ "), None);
+        assert_eq!(spelling_fault("a-b_c.bin"), None);
     }
 }

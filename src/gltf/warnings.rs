@@ -1,4 +1,5 @@
-//! Import warnings, and the detection of those that can be found from the JSON alone.
+//! Import warnings, and the detection of those that can be found from the JSON alone. Faults that have one reading are
+//! forgiven here, or not: [`Warnings::forgive`] is the only place that knows of strict imports.
 
 use std::collections::{BTreeSet, HashMap};
 
@@ -10,7 +11,7 @@ use serde_json::Value;
 use super::document::EXTENSIONS;
 use super::report::{ImportWarning, UnlistedWarnings};
 use super::{Budget, Document, WarningKind};
-use crate::Result;
+use crate::{Error, Result};
 
 /// The most warnings of one kind and feature that are listed. Further ones are counted.
 const MAX_LISTED_OF_FEATURE: usize = 1000;
@@ -18,30 +19,76 @@ const MAX_LISTED_OF_FEATURE: usize = 1000;
 const MAX_LISTED: usize = 10_000;
 /// What a warning takes besides its texts: itself, its place in a list and in a map that grow, and their allocations.
 const BYTES_PER_WARNING: usize = 512;
+/// What a [`Forgivable`] takes: itself, its texts twice (in the error, in the fallback), the error as text by which it
+/// is told of once, and their allocations; without the path of the file, which is in the error and in its text.
+pub(super) const BYTES_PER_FORGIVABLE: usize = 4 * size_of::<Forgivable>() + 1024;
 
 /// The warnings of an import, in the order in which they were found.
-#[derive(Default)]
 pub(super) struct Warnings {
     pub(super) list: Vec<ImportWarning>,
     /// For each kind and feature, how many warnings are listed and how many are not.
     counts: HashMap<(WarningKind, String), (usize, usize)>,
     /// The number of listed warnings that the budget was charged for.
     charged: usize,
+    /// Whether faults are refused that have one reading.
+    strict: bool,
+}
+
+/// A fault that has one reading, found where no warnings can be added, to be forgiven later.
+pub(super) struct Forgivable {
+    /// The error of a strict import, about the object that is at fault.
+    pub(super) error: Error,
+    /// The value or data at fault.
+    pub(super) feature: &'static str,
+    /// What was done, in words.
+    pub(super) fallback: String,
 }
 
 impl Warnings {
-    /// The warnings about a document that need no binary data.
-    pub(super) fn of(document: &Document) -> Self {
+    /// No warnings yet. If `strict`, nothing is forgiven.
+    pub(super) fn new(strict: bool) -> Self {
+        Self { list: Vec::new(), counts: HashMap::new(), charged: 0, strict }
+    }
+
+    /// Forgives a fault that has one reading, or whose object can be left out alone: adds a warning that says what was
+    /// done. A strict import gets the error. `root` is the document, in which the object's name is looked up.
+    pub(super) fn forgive(
+        &mut self,
+        root: &Value,
+        feature: impl Into<String>,
+        fallback: impl Into<String>,
+        error: Error,
+    ) -> Result<()> {
+        match error {
+            Error::Gltf { pointer, .. } if !self.strict => {
+                self.push(root, WarningKind::Fault, feature.into(), pointer, fallback.into());
+                Ok(())
+            }
+            error => Err(error),
+        }
+    }
+
+    /// Leaves out what has failed with this error: `part` is the part of the file that is lost, in words. A strict
+    /// import gets the error.
+    pub(super) fn leave_out(&mut self, root: &Value, part: impl Into<String>, error: Error) -> Result<()> {
+        self.forgive(root, part, format!("{}: left out", cause_of(&error)), error)
+    }
+
+    /// Adds the warnings about a document that need no binary data.
+    pub(super) fn inspect(&mut self, document: &Document) {
         use WarningKind::Feature;
 
-        let mut warnings = Self::default();
+        let warnings = self;
         warnings.add_extensions(document);
         // Warn of what would be animated: animations, skins, morph targets.
         for (i, _) in elements(&document.value, "animations") {
             let fallback = "not supported: the transforms of the nodes are used";
             warnings.add(document, Feature, "animation", format!("/animations/{i}"), fallback);
         }
-        for i in 0..document.skins.len() {
+        // A skin is applied where a node with a mesh has it.
+        let skinned = document.nodes.iter().filter(|node| node.mesh.is_some());
+        let skins: BTreeSet<usize> = skinned.filter_map(|node| Some(node.skin?.value())).collect();
+        for i in skins {
             let fallback = "cannot be animated: applied once, in the rest pose of its joints";
             warnings.add(document, Feature, "skin", format!("/skins/{i}"), fallback);
         }
@@ -59,7 +106,6 @@ impl Warnings {
             }
         }
         warnings.add_min_filters(document);
-        warnings
     }
 
     /// Adds a warning about the object at a JSON pointer.
@@ -71,15 +117,7 @@ impl Warnings {
         pointer: impl Into<String>,
         fallback: impl Into<String>,
     ) {
-        let (feature, pointer) = (feature.into(), pointer.into());
-        if !self.count(kind, &feature) {
-            return;
-        }
-        // The name is that of the object in a top-level array, also where the pointer leads to a part of it.
-        let owner = pointer.match_indices('/').nth(2).map_or(&pointer[..], |(end, _)| &pointer[..end]);
-        let name = document.value.pointer(owner).and_then(|o| o.get("name")).and_then(Value::as_str);
-        let name = shorten(name.unwrap_or_default());
-        self.list.push(ImportWarning { kind, feature, pointer, name, fallback: fallback.into() });
+        self.push(&document.value, kind, feature.into(), pointer.into(), fallback.into());
     }
 
     /// Counts a warning; returns whether it is to be listed. A file of a few MB can give cause for millions.
@@ -115,8 +153,21 @@ impl Warnings {
         budget.charge(1, bytes, document, String::new)
     }
 
-    fn add_extension(&mut self, document: &Document, name: &str, pointer: &str) {
-        self.add(document, WarningKind::Extension, shorten(name), pointer, fallback_text(name));
+    fn push(&mut self, root: &Value, kind: WarningKind, feature: String, pointer: String, fallback: String) {
+        if !self.count(kind, &feature) {
+            return;
+        }
+        // The name is that of the object in a top-level array, also where the pointer leads to a part of it.
+        let owner = pointer.match_indices('/').nth(2).map_or(&pointer[..], |(end, _)| &pointer[..end]);
+        let name = root.pointer(owner).and_then(|o| o.get("name")).and_then(Value::as_str);
+        let name = shorten(name.unwrap_or_default());
+        self.list.push(ImportWarning { kind, feature, pointer, name, fallback });
+    }
+
+    /// Adds an extension of an object, which is Null for the file as a whole.
+    fn add_extension(&mut self, document: &Document, name: &str, pointer: &str, object: &Value) {
+        let fallback = fallback_text(document, name, object);
+        self.add(document, WarningKind::Extension, shorten(name), pointer, fallback);
     }
 
     /// Adds every extension in the file that is not supported, once for each object of the file's top-level arrays.
@@ -127,7 +178,7 @@ impl Warnings {
                 // The extensions of the file as a whole.
                 ("extensions", Value::Object(extensions)) => {
                     let names = extensions.keys().map(|name| &**name).filter(|name| !EXTENSIONS.contains(name));
-                    names.for_each(|name| self.add_extension(document, name, "/"));
+                    names.for_each(|name| self.add_extension(document, name, "/", &Value::Null));
                 }
                 // Each object of a top-level array is searched by itself, so that warnings can name it.
                 (key, Value::Array(elements)) => {
@@ -156,7 +207,7 @@ impl Warnings {
                 _ => {}
             }
         }
-        names.into_iter().for_each(|name| self.add_extension(document, name, pointer));
+        names.into_iter().for_each(|name| self.add_extension(document, name, pointer, object));
     }
 
     /// Adds one warning for all samplers. There are no mipmaps: minification filters are ignored.
@@ -182,6 +233,29 @@ impl Warnings {
     }
 }
 
+/// Whether the data that an extension compresses is in the file without compression too: for a mesh, that all its
+/// positions are in buffer views; for a buffer or a buffer view, that the buffer has data.
+fn has_uncompressed_data(document: &Document, object: &Value) -> bool {
+    let buffer_has_data = |index: usize| index == 0 || document.buffers.get(index).is_some_and(|b| b.uri.is_some());
+    if let Some(primitives) = object.get("primitives").and_then(Value::as_array) {
+        let positions = |primitive: &Value| primitive.pointer("/attributes/POSITION").and_then(Value::as_u64);
+        let has_view = |index: u64| document.accessors.get(index as usize).is_some_and(|a| a.buffer_view.is_some());
+        return primitives.iter().filter_map(positions).all(has_view);
+    }
+    match object.get("buffer").and_then(Value::as_u64) {
+        Some(buffer) => buffer_has_data(buffer as usize),
+        None => object.get("uri").is_some(),
+    }
+}
+
+/// The cause of an error about the file, without path and pointer.
+pub(super) fn cause_of(error: &Error) -> String {
+    match error {
+        Error::Gltf { cause, .. } => cause.to_string(),
+        error => error.to_string(),
+    }
+}
+
 fn elements<'a>(root: &'a Value, key: &str) -> impl Iterator<Item = (usize, &'a Value)> {
     root.get(key).and_then(Value::as_array).into_iter().flatten().enumerate()
 }
@@ -194,16 +268,31 @@ fn shorten(name: &str) -> String {
     }
 }
 
-/// What is done instead of an extension that is not supported, in words.
-fn fallback_text(extension: &str) -> &'static str {
+/// What is done instead of an extension of this object that is not supported, in words.
+fn fallback_text(document: &Document, extension: &str, object: &Value) -> &'static str {
     match extension {
-        "EXT_meshopt_compression" | "KHR_draco_mesh_compression" => "not supported: the uncompressed data is read",
-        "EXT_texture_webp" | "KHR_texture_basisu" => "not supported: the PNG or JPEG fallback is shown",
+        "EXT_meshopt_compression" | "KHR_draco_mesh_compression" if has_uncompressed_data(document, object) => {
+            "not supported: the uncompressed data is read"
+        }
+        "EXT_meshopt_compression" | "KHR_draco_mesh_compression" => {
+            "not supported, and the file has no uncompressed data for it: not shown"
+        }
+        "EXT_texture_webp" | "KHR_texture_basisu" if object.get("source").is_some() => {
+            "not supported: the PNG or JPEG fallback is shown"
+        }
+        "EXT_texture_webp" | "KHR_texture_basisu" => {
+            "not supported, and the file has no fallback: a checkerboard is shown"
+        }
         "KHR_materials_anisotropy" => "not supported: highlights are round",
         "KHR_materials_clearcoat" => "not supported: shown without its clear coat",
         "KHR_materials_dispersion" => "not supported: all colours are refracted alike",
         "KHR_materials_iridescence" => "not supported: shown without its thin film",
-        "KHR_materials_pbrSpecularGlossiness" => "not supported: the metallic-roughness values are used",
+        "KHR_materials_pbrSpecularGlossiness" if object.get("pbrMetallicRoughness").is_some() => {
+            "not supported: the metallic-roughness values are used"
+        }
+        "KHR_materials_pbrSpecularGlossiness" => {
+            "not supported, and there are no metallic-roughness values: shown as white metal, the default"
+        }
         "KHR_materials_sheen" => "not supported: shown without its sheen",
         "KHR_materials_specular" => "not supported: reflects as its index of refraction says",
         "KHR_materials_variants" => "not supported: the default material is shown",

@@ -1,4 +1,6 @@
-//! Axis-aligned boxes.
+//! Axis-aligned boxes, and matrices that flatten space.
 
 mod aabb;
+mod flat;
 pub use aabb::{Aabb, Bounds};
+pub(crate) use flat::{MappedSpace, with_least_thickness};

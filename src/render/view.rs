@@ -126,7 +126,9 @@ impl View {
 
         require(self.max_depth <= Self::MAX_DEPTH, "depth", &self.max_depth, "at most View::MAX_DEPTH")?;
         require(self.max_rays > 0, "max_rays", &self.max_rays, "at least 1")?;
-        require(is_usable, "camera pose", pose, "finite, with no axis scaled to zero")?;
+        let columns = [pose.matrix3.x_axis, pose.matrix3.y_axis, pose.matrix3.z_axis, pose.translation];
+        let columns = columns.map(|column| column.to_array());
+        require(is_usable, "camera pose", &columns, "finite, with no axis scaled to zero")?;
         self.camera.validate()?;
         require([zenith, horizon, ground].iter().all(|c| c.is_finite()), "sky", &self.sky, "finite")?;
         require(up.try_normalize().is_some(), "sky up", &up, "finite and not zero")

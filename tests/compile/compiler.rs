@@ -291,15 +291,16 @@ fn removing_nodes_frees_what_nobody_else_uses() {
 }
 
 #[test]
-fn a_singular_instance_is_left_out_and_reported() {
+fn an_instance_without_area_is_left_out_and_reported() {
     let mut scene = Scene::new();
     let (geometry, material) = (tetrahedron(&mut scene, 0), scene.add_material(Material::default()).unwrap());
-    for scale in [DVec3::ONE, DVec3::new(1.0, 0.0, 1.0), DVec3::splat(1e-60)] {
+    for scale in [DVec3::ONE, DVec3::new(1.0, 0.0, 1.0), DVec3::new(0.0, 0.0, 1.0), DVec3::splat(1e-60)] {
         let node = scene.add(scene.root(), Transform::from_scale(scale)).unwrap();
         scene.add(node, Core::Geometry { geometry, material }).unwrap();
     }
     let report = Compiler::new().compile(&mut scene, EYE).unwrap();
-    assert_eq!((report.instances, report.unhittable_instances), (1, 2));
+    // One flattened to a plane is drawn.
+    assert_eq!((report.instances, report.unhittable_instances), (2, 2));
 }
 
 #[test]

@@ -38,7 +38,9 @@ fn render(folder: &TempDir, arguments: &[&str]) -> Run {
 #[track_caller]
 fn render_small(folder: &TempDir, arguments: &[&str]) -> Run {
     let run = render(folder, &[&["--device", "cpu", "--size", "40x30", "--samples", "1"], arguments].concat());
-    assert_eq!((run.code, run.stderr.as_str()), (Some(0), ""), "{arguments:?}");
+    assert_eq!(run.code, Some(0), "{arguments:?}: {}", run.stderr);
+    // Only notes about the file.
+    assert!(run.stderr.lines().all(|line| line.starts_with("note: ")), "{arguments:?}: {}", run.stderr);
     run
 }
 
@@ -276,6 +278,62 @@ fn stats_are_tables() {
     for expected in ["two.gltf", "40x30, 1200 primary rays", "built", "trace", "wrote out.png"] {
         assert!(run.stdout.contains(expected), "no {expected:?} in\n{}", run.stdout);
     }
+}
+
+#[test]
+fn notes_about_the_file_are_a_line_each_and_many_of_a_kind_are_folded() {
+    let folder = folder();
+    let run = render_small(&folder, &["two.gltf"]);
+    let note = |i: usize, name: &str| {
+        format!(
+            "note: two.gltf: /cameras/{i} \"{name}\": clip planes: znear and zfar are not used: all that is in front of the \
+             camera is seen"
+        )
+    };
+    assert_eq!(run.stderr.lines().collect::<Vec<_>>(), [note(0, "left"), note(1, "right")]);
+    // As JSON, they are in the report.
+    let run = render_small(&folder, &["two.gltf", "--json"]);
+    assert_eq!(run.stderr, "");
+    assert_eq!(serde_json::from_str::<Value>(&run.stdout).unwrap()["warnings"].as_array().unwrap().len(), 2);
+
+    // Ten of a kind are told, the others counted; other kinds are told all the same. No control character is printed.
+    let mut many = two_scenes();
+    many["cameras"] = json!([]);
+    many["nodes"] = json!([{"mesh": 0}]);
+    many["scenes"] = json!([{"nodes": [0]}]);
+    many["animations"] = (0..47).map(|_| json!({"name": "\u{1b}[31mred\n"})).collect();
+    many["materials"][0]["occlusionTexture"] = json!({"index": 0});
+    many["textures"] = json!([{}]);
+    fs::write(folder.path().join("many.gltf"), many.to_string()).unwrap();
+    let run = render_small(&folder, &["many.gltf", "--stats"]);
+    let lines: Vec<_> = run.stderr.lines().collect();
+    assert_eq!(lines.len(), 12, "{lines:?}");
+    assert!(lines[9].starts_with("note: many.gltf: /animations/9 \"\\u{1b}[31mred\\n\": animation: "), "{lines:?}");
+    assert_eq!(lines[10], "note: many.gltf: ... and 37 more of this kind");
+    assert!(lines[11].contains("occlusion texture"), "{lines:?}");
+    assert!(!(run.stderr.clone() + &run.stdout).contains('\u{1b}'));
+}
+
+#[test]
+fn a_camera_that_was_left_out_is_named_where_it_is_missed() {
+    let folder = folder();
+    let mut file = two_scenes();
+    file["nodes"][1]["scale"] = json!([0, 0, 0]);
+    file["nodes"][1]["name"] = json!("eye");
+    fs::write(folder.path().join("scale0.gltf"), file.to_string()).unwrap();
+    // The first camera that there is shows the rest.
+    let run = render_small(&folder, &["scale0.gltf"]);
+    assert!(
+        run.stderr
+            .contains("note: scale0.gltf: /nodes/1 \"eye\": camera 0: is scaled to zero along an axis: left out\n"),
+        "{}",
+        run.stderr
+    );
+    assert_refused(
+        &folder,
+        &["scale0.gltf", "--camera", "left"],
+        &["\"left\"", "\"right\"", "scale0.gltf: /nodes/1 \"eye\": camera 0"],
+    );
 }
 
 #[test]

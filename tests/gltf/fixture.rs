@@ -135,6 +135,15 @@ impl Fixture {
         }
     }
 
+    /// The JSON pointer and the cause of the error that a strict import fails with.
+    pub(crate) fn strict_fault(&self) -> (String, GltfFault) {
+        match self.try_import_with(&ImportOptions::default().with_strict(true)) {
+            Err(Error::Gltf { pointer, cause, .. }) => (pointer, cause),
+            Err(error) => panic!("unexpected kind of error: {error:?}"),
+            Ok(_) => panic!("a strict import accepts {}", self.json),
+        }
+    }
+
     /// Whether the import fails because it would need too much memory.
     pub(crate) fn exceeds_budget(&self) -> bool {
         matches!(self.fault().1, GltfFault::Budget { .. })

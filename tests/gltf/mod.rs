@@ -8,6 +8,7 @@
 mod cancel;
 mod files;
 mod fixture;
+mod forgiving;
 mod geometry;
 mod hostile;
 mod invalid;

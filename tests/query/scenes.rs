@@ -193,6 +193,24 @@ pub fn drawn(scene: &mut Scene, origin: DVec3, mask: u32) -> Vec<Drawn> {
     (0..hierarchy.nodes().len()).filter_map(|entry| draw(scene, hierarchy, entry, origin, mask)).collect()
 }
 
+/// A matrix that flattens space to a plane has a thickness, as the compiler gives it one; `None` for one that leaves
+/// only a line. No scale in these scenes is below 1e-6 of the others without being zero.
+fn with_least_thickness(matrix: &DMat3) -> Option<DMat3> {
+    let DMat3 { x_axis, y_axis, z_axis } = *matrix;
+    let size = x_axis.length().max(y_axis.length()).max(z_axis.length());
+    let cofactors = [y_axis.cross(z_axis), z_axis.cross(x_axis), x_axis.cross(y_axis)];
+    let normal = cofactors.into_iter().max_by(|a, b| a.length().total_cmp(&b.length())).unwrap();
+    if normal.length() < 1e-12 * size * size {
+        return None;
+    }
+    if matrix.determinant().abs() > 1e-12 * normal.length() * size {
+        return Some(*matrix);
+    }
+    let normal = normal.normalize();
+    let axis = DVec3::from_array(cofactors.map(|column| column.dot(normal))).normalize();
+    Some(*matrix + DMat3::from_cols(normal * axis.x, normal * axis.y, normal * axis.z) * (size / 2048.0))
+}
+
 fn draw(scene: &Scene, hierarchy: &Hierarchy, entry: usize, origin: DVec3, mask: u32) -> Option<Drawn> {
     let path = hierarchy.path(entry);
     let Ok(&Core::Geometry { geometry, material }) = scene.node_core(path.node) else { return None };
@@ -200,9 +218,10 @@ fn draw(scene: &Scene, hierarchy: &Hierarchy, entry: usize, origin: DVec3, mask:
     let material = placed.material.unwrap_or(material);
     let mut relative = placed.world_from_local;
     relative.translation -= origin;
-    if !placed.visible || placed.mask & mask == 0 || relative.matrix3.determinant() == 0.0 {
+    if !placed.visible || placed.mask & mask == 0 {
         return None;
     }
+    relative.matrix3 = with_least_thickness(&relative.matrix3)?;
     let local_from_world = relative.inverse().as_affine3().as_daffine3();
     let world_from_local = local_from_world.inverse();
     if !(local_from_world.is_finite() && world_from_local.is_finite()) {

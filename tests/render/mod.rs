@@ -1,6 +1,7 @@
 //! Frames of whole scenes.
 
 mod cancel;
+mod flat;
 mod framing;
 mod golden;
 mod lens_shift;
