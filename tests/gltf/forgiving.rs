@@ -445,7 +445,7 @@ fn notes_say_what_is_the_case() {
     let glass = |roughness: f32| {
         json!({
             "name": "glass", "pbrMetallicRoughness": {"roughnessFactor": roughness},
-            "extensions": {"KHR_materials_transmission": {"transmissionFactor": 1}},
+            "extensions": {"KHR_materials_transmission": {"transmissionFactor": 1}, "KHR_materials_volume": {}},
         })
     };
     fixture.json["meshes"][0]["primitives"][0]["material"] = json!(0);

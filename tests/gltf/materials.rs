@@ -102,7 +102,10 @@ fn with_cube(material: Value, open: bool) -> Fixture {
 #[test]
 fn thickness_decides_what_glass_bounds() {
     let glass = |volume: Value| {
-        let mut material = json!({"extensions": {"KHR_materials_transmission": {"transmissionFactor": 1}}});
+        let mut material = json!({
+            "pbrMetallicRoughness": {"roughnessFactor": 0},
+            "extensions": {"KHR_materials_transmission": {"transmissionFactor": 1}},
+        });
         if !volume.is_null() {
             material["extensions"]["KHR_materials_volume"] = volume;
         }
