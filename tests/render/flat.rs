@@ -70,7 +70,8 @@ fn a_box_that_is_flattened_looks_like_its_projection() {
             assert!(differ.len() <= hits / 50, "{name}, {device:?}: of {hits} pixels {places:?}");
             let both = (0..e.depth.len()).filter(|&i| is_hit(&e.depth[i]) && is_hit(&f.depth[i]));
             for i in both {
-                assert!((e.depth[i] - f.depth[i]).abs() < 1e-2, "{name}: depth {} and {}", e.depth[i], f.depth[i]);
+                // The box is up to 2 * 3 / 2^11 high on either side; a grazing ray meets that four times as early.
+                assert!((e.depth[i] - f.depth[i]).abs() < 1.3e-2, "{name}: depth {} and {}", e.depth[i], f.depth[i]);
                 let difference = (Vec4::from(expected.color[i]) - Vec4::from(found.color[i])).abs().max_element();
                 assert!(difference < 0.02, "{name}, {device:?}: pixel {i} differs by {difference}");
             }
