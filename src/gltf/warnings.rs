@@ -10,7 +10,7 @@ use serde_json::Value;
 
 use super::document::EXTENSIONS;
 use super::report::{ImportWarning, UnlistedWarnings};
-use super::{Budget, Document, WarningKind};
+use super::{Budget, Document, GltfFault, WarningKind};
 use crate::{Error, Result};
 
 /// The most warnings of one kind and feature that are listed. Further ones are counted.
@@ -51,7 +51,8 @@ impl Warnings {
     }
 
     /// Forgives a fault that has one reading, or whose object can be left out alone: adds a warning that says what was
-    /// done. A strict import gets the error. `root` is the document, in which the object's name is looked up.
+    /// done. A strict import gets the error, and so does every import if it is not about a part of the file: the budget
+    /// is exhausted, or the import was cancelled. `root` is the document, in which the object's name is looked up.
     pub(super) fn forgive(
         &mut self,
         root: &Value,
@@ -60,6 +61,7 @@ impl Warnings {
         error: Error,
     ) -> Result<()> {
         match error {
+            Error::Gltf { cause: GltfFault::Budget { .. }, .. } => Err(error),
             Error::Gltf { pointer, .. } if !self.strict => {
                 self.push(root, WarningKind::Fault, feature.into(), pointer, fallback.into());
                 Ok(())
