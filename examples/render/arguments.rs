@@ -32,6 +32,9 @@ pub(crate) struct Arguments {
     #[arg(long, value_name = "N", default_value = "3",
           value_parser = clap::value_parser!(u32).range(0..=i64::from(View::MAX_DEPTH)))]
     pub(crate) depth: u32,
+    /// Rays that a pixel may take; one that needs more shows the nearest opaque surface behind them
+    #[arg(long, value_name = "N", default_value = "1024", value_parser = clap::value_parser!(u32).range(1..))]
+    pub(crate) max_rays: u32,
     /// How PNG files show what is brighter than white; unlit colours are always shown as they are
     #[arg(long, value_name = "MAPPING", value_enum, default_value_t)]
     pub(crate) tone_map: ToneMap,

@@ -37,6 +37,7 @@ impl LoadedScene {
         let mut view = first_view(&mut scene, import.as_ref(), arguments)?;
         view.sky = sky;
         view.max_depth = arguments.depth;
+        view.max_rays = arguments.max_rays;
         // Only EXR files can hold depth, normals and ids.
         view.aovs = arguments.output.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("exr"));
         add_light_if_none(&mut scene, &view).map_err(|error| error.to_string())?;

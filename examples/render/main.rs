@@ -116,12 +116,14 @@ fn render(
 
     let read_start = Instant::now();
     let image = rendered.image().map_err(|error| error.to_string())?.with_tone_mapping(arguments.tone_map.into());
+    let limited_pixels = rendered.limited_pixels().map_err(|error| error.to_string())?;
     let read_time = read_start.elapsed();
 
     let save_start = Instant::now();
     let save = || image.downscaled(arguments.samples)?.save(&output);
     save().map_err(|error| error.to_string())?;
-    Ok(FrameEntry { output, report: rendered.report().clone(), read_time, save_time: save_start.elapsed() })
+    let (report, save_time) = (rendered.report().clone(), save_start.elapsed());
+    Ok(FrameEntry { output, report, limited_pixels, read_time, save_time })
 }
 
 /// Prints the report in the requested form.

@@ -43,6 +43,8 @@ pub(crate) struct FrameEntry {
     pub(crate) output: PathBuf,
     #[serde(flatten)]
     pub(crate) report: FrameReport,
+    /// Pixels that needed more rays than `--max-rays`.
+    pub(crate) limited_pixels: u64,
     /// Time to read the frame back, after the call that renders it.
     #[serde(serialize_with = "seconds")]
     pub(crate) read_time: Duration,
@@ -55,7 +57,7 @@ impl Report {
     /// Two tables: the scene; and the time of each phase in the first frame and in the later ones.
     pub(crate) fn to_tables(&self) -> String {
         let Some((first, later)) = self.frames.split_first() else { return String::new() };
-        format!("{}\n{}", self.scene_table(&first.report), phase_table(first, later))
+        format!("{}\n{}", self.scene_table(first), phase_table(first, later))
     }
 
     /// The whole report as JSON.
@@ -63,7 +65,7 @@ impl Report {
         serde_json::to_string_pretty(self)
     }
 
-    fn scene_table(&self, first: &FrameReport) -> Table {
+    fn scene_table(&self, FrameEntry { report: first, limited_pixels, .. }: &FrameEntry) -> Table {
         let compile = &first.compile;
         let needs: Vec<_> = compile.needs.iter_names().map(|(name, _)| name.to_lowercase().replace('_', " ")).collect();
         let rays = u64::from(self.size.0) * u64::from(self.size.1) * u64::from(self.samples * self.samples);
@@ -77,6 +79,7 @@ impl Report {
         table.add_rows([
             ["device", &format!("{} ({})", first.device.executor, first.device.name)],
             ["image", &format!("{}x{}, {rays} primary rays", self.size.0, self.size.1)],
+            ["pixels that needed more rays", &limited_pixels.to_string()],
             ["nodes", &self.nodes.to_string()],
             ["geometries", &format!("{}, {} triangles", self.geometries, compile.unique_triangles)],
             ["instances", &format!("{}, {} triangles", compile.instances, compile.instanced_triangles)],
