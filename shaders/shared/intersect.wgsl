@@ -156,10 +156,11 @@ fn intersect_triangle(ray: ShearRay, triangle: Triangle) -> TriangleHit {
         return TriangleHit();
     }
     weights = weights * (1.0 / area);
-    // Outside an edge, t is that of the point on the edge: the plane may be crossed far from it.
-    var t_hit = dot3(weights, t);
-    if !is_outside {
-        t_hit = plane_t(ray, triangle, t, weights);
+    // Outside an edge, t is that of the point on the edge: the plane may be crossed far from it. But a plane behind the
+    // ray's start stays there.
+    var t_hit = plane_t(ray, triangle, t, weights);
+    if is_outside && t_hit >= 0.0 {
+        t_hit = dot3(weights, t);
     }
     t_hit = min(max(t_hit, min_component(t)), max_component(t));
     // Near the ray's start the tolerance admits no back face (point 2).

@@ -63,7 +63,7 @@ fn a_box_that_is_flattened_looks_like_its_projection() {
             let (e, f) = (expected.aovs.unwrap(), found.aovs.unwrap());
             let is_hit = |depth: &f32| depth.is_finite();
             let hits = e.depth.iter().filter(|depth| is_hit(depth)).count();
-            assert!(hits > 100, "{name}: only {hits} pixels to compare");
+            assert!(hits > 70, "{name}: only {hits} pixels to compare");
             // Pixels at the outline may fall to either side.
             let differ: Vec<_> = (0..e.depth.len()).filter(|&i| is_hit(&e.depth[i]) != is_hit(&f.depth[i])).collect();
             let places: Vec<_> = differ.iter().map(|i| (i % 64, i / 64, e.depth[*i], f.depth[*i])).collect();

@@ -520,11 +520,6 @@ impl PacketQuery for TransmittancePacket {
         at: &TriangleHits<f32x16<S>>,
         directions: &[F32Lanes; 3],
     ) {
-        // Light from behind passes single-sided triangles.
-        let mut lanes = lanes;
-        if geometry.has_flags(InstanceFlags::CULL_BACK) {
-            lanes &= at.back;
-        }
         // Translucent: one lane after the other.
         if geometry.has_flags(InstanceFlags::TRANSLUCENT) {
             for lane in lanes_of(lanes) {
@@ -533,6 +528,9 @@ impl PacketQuery for TransmittancePacket {
             }
             return;
         }
+        // Light from behind passes single-sided triangles.
+        let culled = if geometry.has_flags(InstanceFlags::CULL_BACK) { !at.back } else { 0 };
+        let lanes = lanes & !culled;
         // Opaque: all lanes are decided.
         let stopped = mask32x16::from_bitmask(simd, lanes);
         let set = |numbers: &mut F32Lanes, number: f32| {

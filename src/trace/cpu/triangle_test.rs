@@ -116,7 +116,8 @@ pub(super) fn intersect_triangles<S: Simd, V: SimdFloat<S, Element = f32>>(
     // 4. Compute the distance along the plane or, outside an edge, along the edge; clamp it to the vertices' t.
     let mut t_hit = plane_distance(t, w);
     if is_outside.to_bitmask() & hit_lanes != 0 {
-        t_hit = is_outside.select((w[0] * t[0] + w[1] * t[1]) + w[2] * t[2], t_hit);
+        let is_ahead = is_outside & t_hit.simd_ge(zero);
+        t_hit = is_ahead.select((w[0] * t[0] + w[1] * t[1]) + w[2] * t[2], t_hit);
     }
     let t_hit = t_hit.max(min_component(t)).min(max_component(t));
     // Near the ray's start the tolerance admits no back face.

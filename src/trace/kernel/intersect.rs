@@ -43,7 +43,8 @@
 //!    has one component, whose error is in both products alike: t is at most 6 v |t| off, at whatever angle. In any
 //!    case t is clamped to the range of the vertices' t. Where a ray passes outside an edge, within the tolerance, t is
 //!    interpolated along the edge: its plane may be crossed far from the triangle, and at a ridge the plane of the face
-//!    behind before that of the face in front.
+//!    behind before that of the face in front. A plane behind the ray's start stays there, so that a ray that leaves a
+//!    surface does not meet its coplanar neighbours.
 
 use glam::Vec3;
 
@@ -238,8 +239,10 @@ pub(crate) fn intersect_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<
         return None;
     }
     weights *= 1.0 / area;
-    // Outside an edge, t is that of the point on the edge: the plane may be crossed far from it.
-    let t_hit = if is_outside { dot3(weights, t) } else { plane_t(ray, triangle, t, weights) };
+    // Outside an edge, t is that of the point on the edge: the plane may be crossed far from it. But a plane behind the
+    // ray's start stays there.
+    let t_plane = plane_t(ray, triangle, t, weights);
+    let t_hit = if is_outside && t_plane >= 0.0 { dot3(weights, t) } else { t_plane };
     let t_hit = min(max(t_hit, min_component(t)), max_component(t));
     // Near the ray's start the tolerance admits no back face (point 2).
     let start_zone = START_ZONE * (max_component(z) + (x_extent + y_extent));
@@ -389,7 +392,7 @@ mod tests {
             assert!(hit.t >= least && hit.t <= greatest, "{corners:?}: {} beside {depths}", hit.t);
             // Check its distance against the exact one, unless the ray passes outside an edge.
             let weights = [1.0 - hit.u - hit.v, hit.u, hit.v];
-            if weights.contains(&0.0) {
+            if weights.iter().any(|&weight| weight <= 1e-6) {
                 continue;
             }
             let Some((t, bound)) = plane_t_and_bound(&ray, corners, weights) else { continue };
