@@ -96,6 +96,9 @@ impl<'a> Document<'a> {
         let extension =
             |keys: &[String]| keys.iter().rposition(|key| key == "extensions").map(|i| (i + 2).min(keys.len()));
         let materials = parse_parts(&mut value, "/materials", path, "material extension", extension, warnings)?;
+        // Collecting would grow the vector by doubling.
+        let mut whole_materials = Vec::with_capacity(materials.len());
+        whole_materials.extend(materials.into_iter().flatten());
         Ok(Self {
             path,
             cancel: Cancel::new(),
@@ -105,7 +108,7 @@ impl<'a> Document<'a> {
             cameras,
             images: images.into_iter().map(|image| image.unwrap_or_else(no_image)).collect(),
             lights,
-            materials: materials.into_iter().flatten().collect(),
+            materials: whole_materials,
             meshes: parse_array(&value, "/meshes", path)?,
             samplers: parse_array(&value, "/samplers", path)?,
             skins: parse_array(&value, "/skins", path)?,

@@ -133,9 +133,9 @@ fn of_opposite_windings_each_is_seen_from_its_side() {
         assert_eq!(hit_from_both_sides(&mut scene), [Some(0), Some(2)], "{structure:?}");
         let mut scene = layers(&culled, &both[..2], Some(structure));
         assert_eq!(hit_from_both_sides(&mut scene), [Some(0), None], "{structure:?}");
-        // Both are seen from either side: the first wins.
+        // Both are seen from either side: the one that faces the ray comes first.
         let mut scene = layers(&Material::default(), &both, Some(structure));
-        assert_eq!(hit_from_both_sides(&mut scene), [Some(0), Some(0)], "{structure:?}");
+        assert_eq!(hit_from_both_sides(&mut scene), [Some(0), Some(2)], "{structure:?}");
     }
 }
 
