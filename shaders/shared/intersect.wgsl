@@ -163,9 +163,9 @@ fn intersect_triangle(ray: ShearRay, triangle: Triangle) -> TriangleHit {
         t_hit = dot3(weights, t);
     }
     t_hit = min(max(t_hit, min_component(t)), max_component(t));
-    // Near the ray's start the tolerance admits no back face (point 2).
+    // Near the ray's start the tolerance admits nothing (point 2).
     let start_zone = START_ZONE * (max_component(z) + (x_extent + y_extent));
-    if is_outside && back && abs(t_hit) * ray.t_to_sheared <= start_zone {
+    if is_outside && abs(t_hit) * ray.t_to_sheared <= start_zone {
         return TriangleHit();
     }
     return TriangleHit(t_hit, weights.y, weights.z, back, true);

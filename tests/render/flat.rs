@@ -26,8 +26,7 @@ fn flattened_box(matrix: &DAffine3) -> Geometry {
         let [a, b, c] = t.map(|i| positions[i as usize].as_dvec3());
         (b - a).cross(c - a).length()
     };
-    // Of each pair of opposite faces one: where they coincide, so that no ray meets a surface twice.
-    let kept = indices.chunks(2).step_by(2).flatten().filter(|t| area(t) > 1e-3).copied().collect::<Vec<_>>();
+    let kept: Vec<[u32; 3]> = indices.iter().filter(|t| area(t) > 1e-3).copied().collect();
     Geometry::new(positions, kept)
 }
 

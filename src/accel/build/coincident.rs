@@ -136,7 +136,7 @@ impl<'a> PlaceSearch<'a> {
 
 /// Whether two references have equal boxes.
 fn has_same_box(a: &PrimitiveReference, b: &PrimitiveReference) -> bool {
-    let [a, b] = [a, b].map(|reference| reference.bounds());
+    let [a, b] = [a, b].map(PrimitiveReference::bounds);
     a.min.truncate() == b.min.truncate() && a.max.truncate() == b.max.truncate()
 }
 

@@ -120,9 +120,9 @@ pub(super) fn intersect_triangles<S: Simd, V: SimdFloat<S, Element = f32>>(
         t_hit = is_ahead.select((w[0] * t[0] + w[1] * t[1]) + w[2] * t[2], t_hit);
     }
     let t_hit = t_hit.max(min_component(t)).min(max_component(t));
-    // Near the ray's start the tolerance admits no back face.
+    // Near the ray's start the tolerance admits nothing.
     let start_zone = (max_component(z) + (x_extent + y_extent)) * START_ZONE;
-    let at_start = is_outside & back & (t_hit.abs() * t_to_sheared).simd_le(start_zone);
+    let at_start = is_outside & (t_hit.abs() * t_to_sheared).simd_le(start_zone);
     hit_lanes &= !at_start.to_bitmask();
     Some((hit_lanes, TriangleHits { t: t_hit, u: w[1], v: w[2], back: back.to_bitmask() }))
 }

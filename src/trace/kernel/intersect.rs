@@ -15,18 +15,18 @@
 //!    from inside hits a triangle whose exact edge functions of x* and y* have one sign. It has to be shown that this
 //!    triangle is accepted, and that its boxes are.
 //! 2. **Triangle.** Let X, Y, Z be the largest |x|, |y|, |p.z| of its corners. The computed x is a product and a sum
-//!    off x*: at most v (Z + X). The corners reach both sides of the ray within twice that, [`CORNER_TOLERANCE`]. An
-//!    edge function is a difference of two products: at most v (2 Z (X + Y) + 4 X Y) off for its corners and 4 v X Y
-//!    for its own three operations. Twice the sum is the tolerance, [`EDGE_TOLERANCE`]; the factor two covers terms in
-//!    v^2. X, Y and Z may be those of the edge's two corners alone: a tighter tolerance, so that a ray that leaves past
-//!    a convex edge misses what lies behind it. It is that of both triangles at an edge, as is that of a corner: at a
-//!    ridge a ray hits both or neither. A ray that starts on the surface beside a convex edge would still hit the far
-//!    side of it from behind: while it has not gone far, it is no higher above the edge than the tolerance. Off a plane
-//!    of slope MIN_COSINE or more (2^-10) it is that high after at most 2^10 times five [`EDGE_TOLERANCE`]s of the
-//!    edge's length, 2^-8.6. So a back face that only the tolerance admits does not count within [`START_ZONE`] of the
-//!    triangle's extent from the ray's start. What that costs: a ray that starts there, within a closed mesh, and goes
-//!    through an edge within rounding, may leave it on a device that contracts. Without contraction two triangles
-//!    compute their common edge alike, and one of them is hit without tolerance.
+//!    off x*: at most v (|p.z| + |x|) of that corner. The corners reach both sides of the ray within twice that,
+//!    [`CORNER_TOLERANCE`]. An edge function is a difference of two products: at most v (2 Z (X + Y) + 4 X Y) off for
+//!    its corners and 4 v X Y for its own three operations. Twice the sum is the tolerance, [`EDGE_TOLERANCE`]; the
+//!    factor two covers terms in v^2. X, Y and Z may be those of the edge's two corners alone: a tighter tolerance, so
+//!    that a ray that leaves past a convex edge misses what lies behind it. It is that of both triangles at an edge, as
+//!    is that of a corner: at a ridge a ray hits both or neither. A ray that starts on the surface beside a convex edge
+//!    would still hit the far side of it: while it has not gone far, it is no higher above the edge than the tolerance.
+//!    Off a plane of slope `MIN_COSINE` or more (2^-10) it is that high after at most 2^10 times five
+//!    [`EDGE_TOLERANCE`]s of the edge's length, 2^-8.6. So a hit that only the tolerance admits does not count within
+//!    [`START_ZONE`] of the triangle's extent from the ray's start. What that costs: a ray that starts there, within a
+//!    closed mesh, and goes through an edge within rounding, may leave it on a device that contracts. Without
+//!    contraction two triangles compute their common edge alike, and one of them is hit without tolerance.
 //! 3. **Box.** The ray hits the triangle at a mean P of the corners' p, and t = P.z / direction.z. A box around the
 //!    triangle has min <= corner, and rounding is monotonic: the computed min - origin is at most P. By its reciprocal,
 //!    its product, and S, the plane's computed t is at most 6 v beyond t; that of the far plane at most 6 v before it.
@@ -184,7 +184,7 @@ pub(crate) fn shear_ray(origin: Vec3, direction: Vec3, extent: f32) -> ShearRay 
 
 /// Intersects the ray's whole line with a triangle; the caller checks [`t_min`, `t_max`]. The point is on the triangle,
 /// tolerance or not: the weights are not negative, and t lies between those of the vertices. A triangle whose
-/// projection along the ray has no area is missed, and so is a back face beside the ray's start that the tolerance
+/// projection along the ray has no area is missed, and so is one beside the ray's start that the tolerance
 /// alone admits (point 2).
 #[inline]
 pub(crate) fn intersect_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<TriangleHit> {
@@ -244,9 +244,9 @@ pub(crate) fn intersect_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<
     let t_plane = plane_t(ray, triangle, t, weights);
     let t_hit = if is_outside && t_plane >= 0.0 { dot3(weights, t) } else { t_plane };
     let t_hit = min(max(t_hit, min_component(t)), max_component(t));
-    // Near the ray's start the tolerance admits no back face (point 2).
+    // Near the ray's start the tolerance admits nothing (point 2).
     let start_zone = START_ZONE * (max_component(z) + (x_extent + y_extent));
-    if is_outside && back && t_hit.abs() * ray.t_to_sheared <= start_zone {
+    if is_outside && t_hit.abs() * ray.t_to_sheared <= start_zone {
         return None;
     }
     Some(TriangleHit { t: t_hit, u: weights.y, v: weights.z, back })

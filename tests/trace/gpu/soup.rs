@@ -108,6 +108,7 @@ pub(crate) fn params(width: u32, height: u32) -> FrameParams {
     params.height = height;
     params.up = [0.0, 0.45, 0.0];
     params.max_depth = 3;
+    params.max_rays = 1024;
     params.forward = [0.0, 0.0, -1.0];
     params.ray_mask = u32::MAX;
     params.sky_up = [0.0, 1.0, 0.0];
