@@ -54,7 +54,7 @@ fn largest_error(
         let away = normal * size + direction(rng, size * 0.7);
         let from = (a + (b - a) * u + (c - a) * v + away + place) - place;
         let along = a + (b - a) * u + (c - a) * v - from;
-        let hit = queries.closest_hit(&Ray::new(from + place, along)).unwrap().expect("it aims at the triangle");
+        let hit = queries.closest_hit(&Ray::new(from + place, along)).unwrap().unwrap();
         let t = normal.dot(a - from) / normal.dot(along);
         let slope = normal.dot(along.normalize()).abs();
         largest = largest.max(((hit.distance - t) * along.length() * slope).abs());
