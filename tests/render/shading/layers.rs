@@ -36,17 +36,17 @@ fn grid(half: f32, cells: u32) -> Geometry {
 /// Every executor that can be used here, by name.
 fn renderers() -> Vec<(String, Renderer)> {
     let open = |device| Renderer::new(&RendererOptions::default().with_device(device));
-    let mut renderers = vec![
+    #[cfg(feature = "gpu")]
+    let gpu = ropewalk_testkit::gpu::usable(open(DeviceChoice::Gpu)).map(|gpu| (gpu.device_info().name.clone(), gpu));
+    #[cfg(not(feature = "gpu"))]
+    let gpu = None;
+    let others = [
         ("cpu".to_owned(), open(DeviceChoice::Cpu).unwrap()),
         ("emulated".to_owned(), open(DeviceChoice::Emulated).unwrap()),
         ("rope".to_owned(), Renderer::with_tracer(Emulated::default().with_traversal(Traversal::Rope))),
         ("recursive".to_owned(), Renderer::with_tracer(Recursive::default())),
     ];
-    #[cfg(feature = "gpu")]
-    if let Some(gpu) = ropewalk_testkit::gpu::usable(open(DeviceChoice::Gpu)) {
-        renderers.push((gpu.device_info().name.clone(), gpu));
-    }
-    renderers
+    others.into_iter().chain(gpu).collect()
 }
 
 fn draw(renderer: &mut Renderer, scene: &mut Scene, view: &View) -> (Image, u64) {
