@@ -10,7 +10,7 @@ use serde_json::Value;
 use crate::display::Display;
 
 /// Longer than any step takes on a slow, busy machine.
-const PATIENCE: Duration = Duration::from_secs(120);
+const PATIENCE: Duration = Duration::from_secs(900);
 
 /// A running viewer.
 pub(crate) struct Viewer {
