@@ -17,7 +17,10 @@ fn candidate_hit(state: ptr<function, TraversalState>, index: u32, t_max: f32) -
     // Clip to the part of the ray that can still change the result.
     let is_candidate = hit.is_hit && hit.t >= (*state).t_min && hit.t <= t_max;
     let instance = select(NONE, (*state).instance, is_candidate);
-    let depth = hit_depth(hit.t, hit.back, (*state).flags, triangle, (*state).local_shear.direction);
+    var depth = hit.t;
+    if is_candidate {
+        depth = hit_depth(hit.t, hit.back, (*state).flags, triangle, (*state).local_shear.direction);
+    }
     return HitRecord(hit.t, hit.u, hit.v, instance, triangle.primitive, index, select(0u, 1u, hit.back), depth);
 }
 

@@ -129,7 +129,10 @@ fn component_sum(color: vec3<f32>) -> f32 {
 fn shade(tree: ptr<function, RayTree>, ray: PendingRay, hit: HitRecord, surface: Surface) {
     let direction = view_direction(ray);
     var behind = ray;
-    behind.start = start_behind(hit, ray.direction);
+    // Only where something is seen behind the surface does the ray go on.
+    if (NEEDS_BLEND && (surface.flags & MATERIAL_BLEND) != 0u) || (NEEDS_REFRACTION && surface.transmission > 0.0) {
+        behind.start = start_behind(hit, ray.direction);
+    }
     // 1. Alpha blends the surface over the ray behind it.
     var throughput = ray.throughput;
     if NEEDS_BLEND && (surface.flags & MATERIAL_BLEND) != 0u {

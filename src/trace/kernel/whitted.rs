@@ -153,7 +153,7 @@ pub(crate) struct SurfaceHit {
     surface: Surface,
     /// Distance along the ray.
     t: f32,
-    /// Where the ray goes on behind the surface.
+    /// Where the ray goes on behind the surface, if it does.
     behind: Continuation,
 }
 
@@ -261,7 +261,10 @@ impl RayTree {
             self.pixel.distance = hit.t;
             self.pixel.ids = [slot, version, hit.primitive, hit.instance];
         }
-        Some(SurfaceHit { ray, surface, t: hit.t, behind: Continuation::behind(scene, hit, ray.direction) })
+        // Only where something is seen behind the surface does the ray go on.
+        let goes_on = surface.flags.contains(MaterialFlags::BLEND) || surface.transmission > 0.0;
+        let behind = if goes_on { Continuation::behind(scene, hit, ray.direction) } else { Continuation::START };
+        Some(SurfaceHit { ray, surface, t: hit.t, behind })
     }
 
     /// Adds the surface's emitted and reflected radiance, `light` of it from lights, and pushes its secondary rays. The
