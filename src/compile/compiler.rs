@@ -170,6 +170,12 @@ impl Compiler {
         Some(InstanceSource { path: hierarchy.path(entry as usize), geometry, material })
     }
 
+    /// The elements of the `instances` array that coincide with one, itself included. Ascending: the first stands for
+    /// all in the TLAS.
+    pub(crate) fn coincident_instances(&self, instance_index: u32) -> impl Iterator<Item = u32> {
+        self.bounds.coincident_with(instance_index)
+    }
+
     fn try_compile(&mut self, scene: &mut Scene, viewpoint: &Viewpoint) -> Result<CompileReport> {
         self.cancel.check()?;
         let start = Instant::now();
@@ -372,7 +378,7 @@ impl Compiler {
         self.lights.write(scene, hierarchy, &self.view, self.origin, &mut self.arrays.lights)?;
         // 3. The TLAS. Of two updates in one compile the last that changed it is reported.
         let start = Instant::now();
-        match self.bounds.update_tlas(&mut self.arrays.tlas_nodes) {
+        match self.bounds.update_tlas(&mut self.arrays.tlas_nodes, &self.arrays.instances) {
             TlasUpdate::Kept => {}
             update => {
                 report.tlas = update;
@@ -420,6 +426,7 @@ impl Compiler {
         let totals = self.instances.totals();
         report.blas_count = self.geometries.len();
         report.instances = totals.instances;
+        report.coincident_instances = self.bounds.coincident_count();
         report.unhittable_instances = totals.unhittable_instances;
         report.unique_triangles = self.geometries.triangle_count();
         report.instanced_triangles = totals.triangles;

@@ -1,23 +1,40 @@
 //! The world boxes of the instances, and the TLAS over them.
 
+use super::coincident_instances::{CoincidentInstances, Promoted};
 use crate::accel::{Tlas, TlasUpdate};
 use crate::device::DeviceBuffer;
-use crate::device::layout::Node;
+use crate::device::layout::{InstanceRecord, Node};
 use crate::math::Aabb;
 
 /// The world box of each instance by slot, which of them have changed, and the TLAS that is updated with those.
 #[derive(Debug, Default)]
 pub(super) struct InstanceBounds {
-    /// By slot, relative to the render origin; empty for an unused slot and for an instance that no ray can hit.
+    /// By slot, relative to the render origin; empty for an unused slot, for an instance that no ray can hit, and for
+    /// one that another stands for.
     boxes: Vec<Aabb>,
     /// Slots whose boxes have changed since the last update of the TLAS, in the order of the changes.
     changed_slots: Vec<u32>,
+    coincident: CoincidentInstances,
     tlas: Tlas,
 }
 
 impl InstanceBounds {
-    /// Sets the box of a slot. New slots between the last one and this get empty boxes.
-    pub(super) fn set(&mut self, slot: u32, bounds: Aabb) {
+    /// Sets the box of a slot whose record has been written; `record_changed` says whether it is another one than
+    /// before. New slots between the last one and this get empty boxes.
+    pub(super) fn set(&mut self, slot: u32, bounds: Aabb, record_changed: bool) {
+        // 1. An instance that coincides with others no longer does so if it has changed.
+        if record_changed || self.coincident.has_other_box(slot, &bounds) {
+            if let Some(Promoted { slot, bounds }) = self.coincident.remove(slot) {
+                self.set_box(slot, bounds);
+            }
+        } else if self.coincident.contains(slot) {
+            return;
+        }
+        // 2. Set the box.
+        self.set_box(slot, bounds);
+    }
+
+    fn set_box(&mut self, slot: u32, bounds: Aabb) {
         let index = slot as usize;
         if index >= self.boxes.len() {
             self.boxes.resize(index + 1, Aabb::EMPTY);
@@ -34,9 +51,24 @@ impl InstanceBounds {
         nodes.truncate(0);
     }
 
-    /// Updates the TLAS (patch, refit or rebuild) with the boxes that have changed.
-    pub(super) fn update_tlas(&mut self, nodes: &mut DeviceBuffer<Node>) -> TlasUpdate {
+    /// Updates the TLAS (patch, refit or rebuild) with the boxes that have changed. After a rebuild the instances that
+    /// coincide are searched; if there are any, it is built once more without those that others stand for.
+    pub(super) fn update_tlas(&mut self, nodes: &mut DeviceBuffer<Node>, records: &[InstanceRecord]) -> TlasUpdate {
         let changed = std::mem::take(&mut self.changed_slots);
-        self.tlas.update(nodes, &self.boxes, &changed)
+        let update = self.tlas.update(nodes, &self.boxes, &changed);
+        if matches!(update, TlasUpdate::Rebuilt(_)) && self.coincident.find(&mut self.boxes, records) > 0 {
+            self.tlas.build(nodes, &self.boxes);
+        }
+        update
+    }
+
+    /// The instances that coincide with one, itself included. Ascending: the first stands for all.
+    pub(super) fn coincident_with(&self, slot: u32) -> impl Iterator<Item = u32> {
+        self.coincident.group(slot)
+    }
+
+    /// How many instances others stand for.
+    pub(super) fn coincident_count(&self) -> usize {
+        self.coincident.left_out_count()
     }
 }

@@ -242,8 +242,9 @@ impl InstanceTable {
         records: &mut DeviceBuffer<InstanceRecord>,
         bounds: &mut InstanceBounds,
     ) {
+        let record_changed = records.get(slot as usize) != Some(&instance.record);
         records.write(slot as usize, &[instance.record]);
-        bounds.set(slot, instance.bounds);
+        bounds.set(slot, instance.bounds, record_changed);
         let state = &mut self.slots[slot as usize];
         self.totals.remove(state);
         (state.is_hittable, state.triangle_count) = (!instance.bounds.is_empty(), instance.triangle_count);

@@ -11,13 +11,15 @@
 //! | `geometry_table`, `vertex_streams` | bottom-level structures and vertex streams |
 //! | `material_table` | materials, texture references and texels |
 //! | `instance_bounds` | the world boxes of the instances and the TLAS over them |
+//! | `coincident_instances` | groups of instances of which one stands for all in the TLAS |
 //! | `light_table` | the visible lights |
 //!
-//! No table holds another, though some take one as an argument: `instance_record` computes an instance's record from
+//! Some tables take others as an argument, and `instance_bounds` holds the groups of `coincident_instances`: `instance_record` computes an instance's record from
 //! several of them, and `pack` converts single values.
 
 mod buffer_allocator;
 mod changes;
+mod coincident_instances;
 mod compiler;
 mod deformation;
 mod geometry_table;

@@ -37,8 +37,12 @@ pub struct CompileReport {
     pub blas_freed: usize,
     /// Bottom-level structures there are now.
     pub blas_count: usize,
-    /// Instances in the TLAS.
+    /// Visible instances that a ray can hit.
     pub instances: usize,
+    /// Those of them that coincide with others: they show the same geometry with the same matrix, material and mask,
+    /// and another one has the leaf of the TLAS and is hit in their place. They are searched whenever the TLAS is
+    /// rebuilt.
+    pub coincident_instances: usize,
     /// Visible instances with triangles that no ray can hit: their matrix scales two axes to zero or is beyond
     /// f32, or all their triangles are degenerate.
     pub unhittable_instances: usize,

@@ -160,8 +160,10 @@ impl<'a> Queries<'a> {
         (first, &self.compiler.arrays().triangles[first as usize..][..range.primitive_count() as usize])
     }
 
-    /// The paths of the nodes of these instances, by ascending index.
-    fn paths(&self, mut instances: Vec<u32>) -> Vec<NodePath> {
+    /// The paths of the nodes of these instances and of those that coincide with them, by ascending index.
+    fn paths(&self, instances: Vec<u32>) -> Vec<NodePath> {
+        let mut instances: Vec<u32> =
+            instances.into_iter().flat_map(|index| self.compiler.coincident_instances(index)).collect();
         instances.sort_unstable();
         let source = |index| self.compiler.instance_source(index, self.hierarchy);
         instances.into_iter().filter_map(|index| Some(source(index)?.path)).collect()

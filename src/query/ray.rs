@@ -91,7 +91,8 @@ impl Queries<'_> {
     pub fn all_hits(&self, ray: &Ray) -> Result<Vec<Hit>> {
         let mut all = Vec::new();
         self.for_each_crossing(ray, |found| {
-            all.push(found);
+            let instances = self.compiler.coincident_instances(found.instance_index);
+            all.extend(instances.map(|instance_index| HitCandidate { instance_index, ..found }));
             ControlFlow::Continue(ray.t_max)
         })?;
         all.sort_unstable_by(HitCandidate::order);

@@ -12,7 +12,8 @@ use ropewalk::device::layout::{
 /// bit.
 #[derive(Debug, PartialEq)]
 pub struct Canonical {
-    /// The instances in the leaves of the TLAS, sorted; the nodes above them are not compared.
+    /// The instances in the leaves of the TLAS, and those that coincide with them, sorted; the nodes above them are not
+    /// compared.
     instances: Vec<CanonicalInstance>,
     /// Sorted.
     lights: Vec<Vec<u8>>,
@@ -47,12 +48,10 @@ impl Canonical {
     }
 
     fn new(arrays: &DeviceArrays, exact: bool) -> Self {
-        let leaves = arrays.tlas_nodes.iter().filter(|node| node.primitives.primitive_count() > 0);
-        let mut instances: Vec<CanonicalInstance> = leaves
-            .filter_map(|leaf| {
-                let record = arrays.instances.get(leaf.primitives.first_primitive() as usize)?;
-                Some(canonical_instance(arrays, record, leaf, exact))
-            })
+        let leaves = instance_leaves(arrays);
+        let mut instances: Vec<CanonicalInstance> = (0..)
+            .zip(arrays.instances.iter())
+            .filter_map(|(index, record)| Some(canonical_instance(arrays, record, leaves.get(&index)?, exact)))
             .collect();
         instances.sort();
         let lights: &[LightRecord] = &arrays.lights;
@@ -90,6 +89,22 @@ impl Canonical {
     pub fn instance_count(&self) -> usize {
         self.instances.len()
     }
+}
+
+/// By the index of each instance that has one, its leaf of the TLAS: its own, or that of the one that stands for it.
+fn instance_leaves(arrays: &DeviceArrays) -> HashMap<u32, &Node> {
+    let leaves = arrays.tlas_nodes.iter().filter(|node| node.primitives.primitive_count() > 0);
+    let mut leaves: HashMap<u32, &Node> = leaves.map(|leaf| (leaf.primitives.first_primitive(), leaf)).collect();
+    let content = |record: &InstanceRecord| bytes(&[InstanceRecord { node_key: [0; 2], ..*record }]);
+    let records = (0..).zip(arrays.instances.iter());
+    let leaf_of_content: HashMap<Vec<u8>, &Node> =
+        records.clone().filter_map(|(index, record)| Some((content(record), *leaves.get(&index)?))).collect();
+    for (index, record) in records {
+        if let Some(leaf) = leaf_of_content.get(&content(record)) {
+            leaves.entry(index).or_insert(leaf);
+        }
+    }
+    leaves
 }
 
 fn canonical_instance(arrays: &DeviceArrays, instance: &InstanceRecord, leaf: &Node, exact: bool) -> CanonicalInstance {
