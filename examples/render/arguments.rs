@@ -50,6 +50,9 @@ pub(crate) struct Arguments {
     /// Another folder below which the file may name buffers and images, besides its own; can be given several times
     #[arg(long, value_name = "FOLDER", action = clap::ArgAction::Append)]
     pub(crate) allow_folder: Vec<PathBuf>,
+    /// The most memory that importing the file may take, in MiB; always limited by what the file's size justifies
+    #[arg(long, value_name = "MIB", value_parser = clap::value_parser!(u32).range(1..))]
+    pub(crate) memory: Option<u32>,
     /// Turntable: write N numbered images from all around
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub(crate) frames: Option<u32>,

@@ -65,6 +65,7 @@ fn import(file: &Path, arguments: &Arguments, cancel: &Cancel, scene: &mut Scene
         .with_scene(arguments.scene.as_ref().map(selector))
         .with_wall(arguments.wall.into())
         .with_files(file_policy(file, &arguments.allow_folder))
+        .with_memory_limit(arguments.memory.map(|mebibytes| u64::from(mebibytes) << 20))
         .with_cancel(cancel.clone());
     let root = scene.root();
     gltf::import_with(file, &options, scene, root).map_err(|error| error.to_string())

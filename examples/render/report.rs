@@ -83,6 +83,7 @@ impl Report {
             ["nodes", &self.nodes.to_string()],
             ["geometries", &format!("{}, {} triangles", self.geometries, compile.unique_triangles)],
             ["instances", &format!("{}, {} triangles", compile.instances, compile.instanced_triangles)],
+            ["of these, coinciding with others", &compile.coincident_instances.to_string()],
             ["instances that no ray can hit", &compile.unhittable_instances.to_string()],
             [
                 "materials, textures, lights",

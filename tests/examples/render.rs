@@ -259,6 +259,28 @@ fn files_outside_of_the_folder_are_read_where_that_is_allowed() {
 }
 
 #[test]
+fn what_an_import_may_take_can_be_limited() {
+    let folder = folder();
+    let nodes: Vec<Value> = (0..20_000).map(|i| json!({ "name": format!("node {i}") })).collect();
+    fs::write(folder.path().join("many.gltf"), json!({ "asset": { "version": "2.0" }, "nodes": nodes }).to_string())
+        .unwrap();
+    assert_refused(&folder, &["many.gltf", "--memory", "1"], &["many.gltf", "1 MiB"]);
+    assert_eq!(render_small(&folder, &["many.gltf", "--memory", "500"]).files, ["out.png"]);
+}
+
+#[test]
+fn thousands_of_notes_take_a_few_lines() {
+    let folder = folder();
+    let broken = json!({ "type": "perspective", "perspective": { "yfov": -1.0, "znear": 0.1 } });
+    let file = json!({ "asset": { "version": "2.0" }, "cameras": vec![broken; 1500] });
+    fs::write(folder.path().join("cameras.gltf"), file.to_string()).unwrap();
+    let run = render_small(&folder, &["cameras.gltf"]);
+    let notes: Vec<&str> = run.stderr.lines().filter(|line| line.starts_with("note: ")).collect();
+    assert!(notes.len() <= 22, "{notes:?}");
+    assert!(notes.last().unwrap().contains("... and 1490 more"), "{notes:?}");
+}
+
+#[test]
 fn json_is_all_there_is_on_standard_output() {
     let folder = folder();
     let run = render_small(&folder, &["two.gltf", "--json"]);
