@@ -32,7 +32,13 @@ fn hit_point(instance: InstanceRecord, triangle: Triangle, weights: vec3<f32>, f
     }
     let from_corner = edge_1 * along_1 + edge_2 * along_2;
     let local = corner + from_corner;
-    let position = transform_point(instance.world_from_local, local);
+    let to_world = transform_with_error(
+        instance.world_from_local,
+        rounded_rows(instance.flags, INSTANCE_EXACT_WORLD_ROWS),
+        local,
+        1.0,
+    );
+    let position = to_world.point;
 
     // 2. The geometric normal, from edges that are scaled to about 1.
     let extent = max_component(max(abs(edge_1), abs(edge_2)));
@@ -51,16 +57,22 @@ fn hit_point(instance: InstanceRecord, triangle: Triangle, weights: vec3<f32>, f
     let normal = world_normal * (scale / scaled_length);
 
     // 3. Bounds of the rounding errors along the normal: in local space steps 1, 4 and 5, in world space 2 and 3.
-    let edges_error = sum_error3(triangle.v0, triangle.v1, edge_1) * abs(along_1)
-        + sum_error3(triangle.v0, triangle.v2, edge_2) * abs(along_2);
+    let edges_error = sum_error(triangle.v0, triangle.v1, edge_1) * abs(along_1)
+        + sum_error(triangle.v0, triangle.v2, edge_2) * abs(along_2);
     let reach = abs(edge_1) * abs(along_1) + abs(edge_2) * abs(along_2);
     let to_corners = to_likely_corners(edge_1, edge_2, weights);
     let rounded = reach * 2.0 + to_corners * vec3<f32>(3.0, 3.0, 4.0);
-    let local_error = ((edges_error * 2.0 + rounded * HALF_ULP) + sum_error3(corner, from_corner, local))
-        + (transform_error(instance.local_from_world, position, 0.0) + vec3<f32>(LEAST_OFFSET * extent));
+    let to_local = transform_with_error(
+        instance.local_from_world,
+        rounded_rows(instance.flags, INSTANCE_EXACT_LOCAL_ROWS),
+        position,
+        0.0,
+    );
+    let local_error = ((edges_error * 2.0 + rounded * HALF_ULP) + sum_error(corner, from_corner, local))
+        + (to_local.error + vec3<f32>(LEAST_OFFSET * extent));
     let products = dot3(abs_cross3(abs(unit_1), abs(unit_2)), to_corners);
     let along_local = dot3(abs(local_normal), local_error) + products * HALF_ULP;
-    let world_error = transform_error(instance.world_from_local, local, 1.0) + abs(position) * HALF_ULP;
+    let world_error = to_world.error + abs(position) * HALF_ULP;
 
     // 4. The distance along the world-space normal that covers them.
     let distance = (along_local * scale) / scaled_length + dot3(abs(normal), world_error);
@@ -90,50 +102,49 @@ fn abs_cross3(a: vec3<f32>, b: vec3<f32>) -> vec3<f32> {
     return vec3<f32>(a.y * b.z + a.z * b.y, a.z * b.x + a.x * b.z, a.x * b.y + a.y * b.x);
 }
 
-// Bounds the error of `transform_point` per coordinate. `matrix_rounding` is 1 if the matrix is a rounded one, and 0 if
-// it is exact by definition.
-fn transform_error(rows: array<vec4<f32>, 3>, point: vec3<f32>, matrix_rounding: f32) -> vec3<f32> {
-    return vec3<f32>(
-        row_error(rows[0], point, matrix_rounding),
-        row_error(rows[1], point, matrix_rounding),
-        row_error(rows[2], point, matrix_rounding),
-    );
+// A transformed point, and a bound of the error of each coordinate.
+struct TransformedPoint {
+    point: vec3<f32>,
+    error: vec3<f32>,
 }
 
-// Bounds the error of `row.xyz`.`point` + `row.w`. What is exact adds nothing: a product with a power of two, a sum
-// with 0. So the bound is 0 for an instance that is not moved, and a sum's rounding for one that is only moved.
-fn row_error(row: vec4<f32>, point: vec3<f32>, matrix_rounding: f32) -> f32 {
-    let products = row.xyz * point;
-    // A rounding of each product, and of each number of the matrix, that is no power of two.
-    let is_rounded = has_mantissa(row.xyz);
-    let product_error = dot3(abs(products), is_rounded) * (1.0 + matrix_rounding);
-    // The translation of an inverse is exact where its row is one power of two.
-    let nonzero = select(vec3<u32>(0u), vec3<u32>(1u), row.xyz != vec3<f32>(0.0));
-    let is_exact = nonzero.x + nonzero.y + nonzero.z <= 1u && max_component(is_rounded) == 0.0;
-    let translation_error = select(abs(row.w) * matrix_rounding, 0.0, is_exact);
+// Transforms a point, as `transform_point` does, and bounds the error per coordinate. `is_rounded` is 0 for the rows
+// that are exact, so that they multiply without rounding, and 1 for the others. `matrix_rounding` is 1 if the matrix is
+// a rounded one, and 0 if it is exact by definition.
+//
+// What is exact adds nothing: the products of an exact row, a sum with 0. So the bound is 0 for an instance that is not
+// moved, and a sum's rounding for one that is only moved.
+fn transform_with_error(
+    rows: array<vec4<f32>, 3>,
+    is_rounded: vec3<f32>,
+    point: vec3<f32>,
+    matrix_rounding: f32,
+) -> TransformedPoint {
+    let x = vec3<f32>(rows[0].x, rows[1].x, rows[2].x) * point.x;
+    let y = vec3<f32>(rows[0].y, rows[1].y, rows[2].y) * point.y;
+    let z = vec3<f32>(rows[0].z, rows[1].z, rows[2].z) * point.z;
+    let translation = vec3<f32>(rows[0].w, rows[1].w, rows[2].w);
+    let sum_xy = x + y;
+    let sum_xyz = sum_xy + z;
+    let transformed = sum_xyz + translation;
+    // A rounding of each product, and of each number of the matrix.
+    let products = (abs(x) + abs(y)) + abs(z);
+    let rounded = products * (1.0 + matrix_rounding) + abs(translation) * matrix_rounding;
     // The sums.
-    let sum_xy = products.x + products.y;
-    let sum_xyz = sum_xy + products.z;
-    let sums = sum_error(products.x, products.y, sum_xy)
-        + sum_error(sum_xy, products.z, sum_xyz)
-        + sum_error(sum_xyz, row.w, sum_xyz + row.w);
-    return (product_error + translation_error) * HALF_ULP + sums;
+    let sums = (sum_error(x, y, sum_xy) + sum_error(sum_xy, z, sum_xyz)) + sum_error(sum_xyz, translation, transformed);
+    return TransformedPoint(transformed, rounded * is_rounded * HALF_ULP + sums);
 }
 
-// 1 for a number that is neither 0 nor a power of two, else 0.
-fn has_mantissa(value: vec3<f32>) -> vec3<f32> {
-    let mantissa = bitcast<vec3<u32>>(value) & vec3<u32>(0x007fffffu);
-    return select(vec3<f32>(1.0), vec3<f32>(0.0), mantissa == vec3<u32>(0u));
+// Per row of a matrix: 0 if it is exact, else 1. `exact_rows` are the three flags of the instance that say it.
+fn rounded_rows(flags: u32, exact_rows: u32) -> vec3<f32> {
+    let exact = (vec3<u32>(flags >> firstTrailingBit(exact_rows)) >> vec3<u32>(0u, 1u, 2u)) & vec3<u32>(1u);
+    return 1.0 - vec3<f32>(exact);
 }
 
-// Bounds the rounding error of a sum: half an ulp of it, and no more than the smaller operand, since the greater one is
-// a number that it could be rounded to.
-fn sum_error(a: f32, b: f32, sum: f32) -> f32 {
+// Bounds the rounding error of a sum, per coordinate: half an ulp of it, and no more than the smaller operand, since
+// the greater one is a number that it could be rounded to.
+fn sum_error(a: vec3<f32>, b: vec3<f32>, sum: vec3<f32>) -> vec3<f32> {
     return min(min(abs(a), abs(b)), abs(sum) * HALF_ULP);
-}
-
-fn sum_error3(a: vec3<f32>, b: vec3<f32>, sum: vec3<f32>) -> vec3<f32> {
-    return vec3<f32>(sum_error(a.x, b.x, sum.x), sum_error(a.y, b.y, sum.y), sum_error(a.z, b.z, sum.z));
 }
 
 // The origin of a secondary ray with the given direction: the position offset along the geometric normal to the side

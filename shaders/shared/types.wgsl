@@ -45,6 +45,8 @@ const INSTANCE_ALPHA_MASK: u32 = 2u;
 const INSTANCE_TRANSLUCENT: u32 = 4u;
 const INSTANCE_THIN: u32 = 8u;
 const INSTANCE_HAS_DUPLICATES: u32 = 16u;
+const INSTANCE_EXACT_LOCAL_ROWS: u32 = 0x700u;
+const INSTANCE_EXACT_WORLD_ROWS: u32 = 0x3800u;
 
 struct GeometryRecord {
     first_index: u32,

@@ -57,6 +57,16 @@ impl InstanceTransform {
         })
     }
 
+    /// The flags of the rows that multiply without rounding.
+    fn exact_rows(&self) -> InstanceFlags {
+        let bits = |rows: &[[f32; 4]; 3]| (0..3).filter(|&i| is_exact(&rows[i])).fold(0, |bits, i| bits | 1 << i);
+        let in_flags = |rows, flags: InstanceFlags| bits(rows) << flags.bits().trailing_zeros();
+        InstanceFlags::from_bits_retain(
+            in_flags(&self.local_from_world, InstanceFlags::EXACT_LOCAL_ROWS)
+                | in_flags(&self.world_from_local, InstanceFlags::EXACT_WORLD_ROWS),
+        )
+    }
+
     /// The device record. `first_*`, `geometry` and `material` are indices into the arrays of those names.
     pub(super) fn instance_record(
         &self,
@@ -74,10 +84,19 @@ impl InstanceTransform {
             geometry,
             material,
             mask,
-            flags: flags.bits(),
+            flags: (flags | self.exact_rows()).bits(),
             node_key: [key as u32, (key >> 32) as u32],
         }
     }
+}
+
+/// Whether a row of an affine matrix multiplies without rounding: one number of the linear part is not zero, and that is
+/// a power of two.
+fn is_exact(row: &[f32; 4]) -> bool {
+    let [x, y, z, _] = *row;
+    let mut factors = [x, y, z].into_iter().filter(|&factor| factor != 0.0);
+    let is_power_of_two = |factor: f32| factor.to_bits() & 0x007f_ffff == 0;
+    factors.next().is_some_and(is_power_of_two) && factors.next().is_none()
 }
 
 /// The device record of a material whose textures (base colour, metallic-roughness, emissive, transmission, normal) are

@@ -317,6 +317,11 @@ bitflags::bitflags! {
         /// Some triangle is in several leaves (spatial splits, kd-tree), so a ray may meet it more than once: queries
         /// that accumulate over hits must count it once.
         const HAS_DUPLICATES = 16;
+        /// Three bits, one for each row of `local_from_world`, first the lowest: the row has one number that is not
+        /// zero (the translation not counted), and that is a power of two, so that it multiplies without rounding.
+        const EXACT_LOCAL_ROWS = 0b111 << 8;
+        /// The same for the rows of `world_from_local`.
+        const EXACT_WORLD_ROWS = 0b111 << 11;
     }
 }
 

@@ -11,7 +11,7 @@ use super::packet_traversal::HybridScratch;
 use super::simd::LANES;
 use crate::device::layout::{HitRecord, RayRecord};
 use crate::trace::Traversal;
-use crate::trace::kernel::{Continuation, KernelScene, any_hit, closest_hit, next_hit, transmittance};
+use crate::trace::kernel::{Continuation, KernelScene, any_hit, next_hit, transmittance};
 
 /// Packet queries of one task: scene, instruction set and scratch memory.
 pub(super) struct PacketTracer<'a> {
@@ -67,28 +67,32 @@ impl<'a> PacketTracer<'a> {
     /// Finds the closest hit of each ray. Here and in the methods below, 16 consecutive rays form a packet and should
     /// be similar in origin and direction.
     pub(super) fn closest_hits(&mut self, rays: &[RayRecord], ray_mask: u32, hits: &mut [HitRecord]) {
-        match self.simd_level {
-            Some(level) => self.trace_rays::<ClosestPacket>(level, rays, ray_mask, |_, _| (), hits),
-            None => hits.iter_mut().zip(rays).for_each(|(hit, ray)| *hit = closest_hit(self.scene, ray, ray_mask)),
-        }
+        self.next_hits(rays, &[], ray_mask, hits);
     }
 
-    /// Finds the next hit of each ray, behind those that it has passed.
+    /// Finds the next hit of each ray, behind those that it has passed: `starts` has the indices of the rays that have
+    /// passed any, ascending.
     pub(super) fn next_hits(
         &mut self,
         rays: &[RayRecord],
-        starts: &[Continuation],
+        starts: &[(usize, Continuation)],
         ray_mask: u32,
         hits: &mut [HitRecord],
     ) {
         match self.simd_level {
             Some(level) => {
-                let prepare = |query: &mut ClosestPacket, packet: usize| query.set_starts(&starts[packet * LANES..]);
+                let prepare = |query: &mut ClosestPacket, packet: usize| {
+                    if !starts.is_empty() {
+                        query.set_starts(starts, packet * LANES);
+                    }
+                };
                 self.trace_rays(level, rays, ray_mask, prepare, hits);
             }
             None => {
-                for ((hit, ray), start) in hits.iter_mut().zip(rays).zip(starts) {
-                    *hit = next_hit(self.scene, ray, *start, ray_mask);
+                let mut starts = starts.iter().peekable();
+                for (index, (hit, ray)) in hits.iter_mut().zip(rays).enumerate() {
+                    let start = starts.next_if(|(of, _)| *of == index).map_or(Continuation::START, |(_, start)| *start);
+                    *hit = next_hit(self.scene, ray, start, ray_mask);
                 }
             }
         }

@@ -42,6 +42,8 @@ mod tlas_traversal;
 mod triangle_test;
 mod wide_node;
 
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+
 use rayon::prelude::*;
 
 use self::dispatch::PacketTracer;
@@ -68,12 +70,13 @@ pub struct Cpu {
     width: u32,
     height: u32,
     aovs: bool,
+    limited_pixels: u64,
     cancel: Cancel,
 }
 
-/// Side of a tile in pixels: small enough for load balancing over cores, large enough that a tile's rays share nodes in
-/// the cache.
-const TILE_SIDE: u32 = 16;
+/// Side of a tile in pixels: small enough that its ray trees and surfaces stay in the first-level cache (600 bytes a
+/// pixel; with 16 a frame took a tenth longer), large enough for four full packets.
+const TILE_SIDE: u32 = 8;
 /// Rays per rayon task in batch queries.
 const RAYS_PER_TASK: usize = 512;
 
@@ -81,7 +84,8 @@ impl Default for Cpu {
     fn default() -> Self {
         let name = format!("{} threads", rayon::current_num_threads());
         let device = DeviceInfo { executor: "cpu", name };
-        Self { device, pixels: Vec::new(), width: 0, height: 0, aovs: false, cancel: Cancel::default() }
+        let (pixels, limited_pixels, cancel) = (Vec::new(), 0, Cancel::default());
+        Self { device, pixels, width: 0, height: 0, aovs: false, limited_pixels, cancel }
     }
 }
 
@@ -106,10 +110,12 @@ impl Tracer for Cpu {
         // Fit the array of pixels to the frame.
         (self.width, self.height, self.aovs) = (params.width, params.height, request.aovs);
         resize(&mut self.pixels, count);
+        self.limited_pixels = 0;
         if count == 0 {
             return Ok(());
         }
         // Render rows of tiles in parallel.
+        let limited_pixels = AtomicU64::new(0);
         let rows_of_tiles = self.pixels.par_chunks_mut(TILE_SIDE as usize * self.width as usize);
         let rows_of_tiles = rows_of_tiles.zip((0..self.height).into_par_iter().step_by(TILE_SIDE as usize));
         let traced = rows_of_tiles.try_for_each(|(row, top)| {
@@ -121,10 +127,13 @@ impl Tracer for Cpu {
                 |tracer, (pixels, left)| {
                     self.cancel.check()?;
                     tracer.render(params, [left, top], columns_of_tile(self.width, left), pixels);
+                    let limited = pixels.iter().filter(|pixel| pixel.is_limited).count();
+                    limited_pixels.fetch_add(limited as u64, Relaxed);
                     Ok(())
                 },
             )
         });
+        self.limited_pixels = limited_pixels.into_inner();
         // A frame that was cancelled is dropped, since its pixels are of two frames.
         if traced.is_err() {
             (self.width, self.height) = (0, 0);
@@ -133,7 +142,7 @@ impl Tracer for Cpu {
     }
 
     fn limited_pixels(&self) -> Result<u64> {
-        Ok(self.pixels.iter().filter(|pixel| pixel.is_limited).count() as u64)
+        Ok(self.limited_pixels)
     }
 
     fn read_image(&self) -> Result<Image> {

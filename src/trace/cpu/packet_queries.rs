@@ -222,10 +222,12 @@ impl Continuations {
 }
 
 impl ClosestPacket {
-    /// Lets the rays go on behind hits that they have passed.
-    pub(super) fn set_starts(&mut self, starts: &[Continuation]) {
-        for (lane, start) in starts.iter().take(LANES).enumerate() {
-            self.starts.set_lane(lane, start);
+    /// Lets the rays of a new packet, of which `first_ray` is the first, go on behind hits that they have passed.
+    /// `starts` has the indices of all rays that do, ascending.
+    pub(super) fn set_starts(&mut self, starts: &[(usize, Continuation)], first_ray: usize) {
+        let from = starts.partition_point(|(ray, _)| *ray < first_ray);
+        for (ray, start) in starts[from..].iter().take_while(|(ray, _)| *ray < first_ray + LANES) {
+            self.starts.set_lane(ray - first_ray, start);
         }
     }
 }
@@ -650,7 +652,8 @@ mod tests {
             Continuation { passed, same_surface_end: depth + 1e-4, is_back, is_on_edge, only_opaque }
         };
         let starts: [Continuation; LANES] = std::array::from_fn(&mut start);
-        packet.set_starts(&starts);
+        let indexed: Vec<(usize, Continuation)> = (LANES..).zip(starts).collect();
+        packet.set_starts(&indexed, LANES);
         for (query, start) in queries.iter_mut().zip(starts) {
             query.start = start;
         }

@@ -20,8 +20,8 @@ pub(super) struct TileTracer<'a> {
     /// The wavefront's rays, and for each the index of its path (closest hit) or surface (shadow).
     rays: Vec<RayRecord>,
     ray_owners: Vec<usize>,
-    /// Where each of the wavefront's rays goes on.
-    starts: Vec<Continuation>,
+    /// Where rays of the wavefront go on: the index of each that does, ascending.
+    starts: Vec<(usize, Continuation)>,
     hits: Vec<HitRecord>,
     surfaces: Vec<PendingSurface>,
     light_samples: Vec<LightSample>,
@@ -88,8 +88,8 @@ impl<'a> TileTracer<'a> {
         self.starts.clear();
         for (index, path) in self.paths.iter_mut().enumerate() {
             if let Some((ray, start)) = path.next_ray(params) {
+                self.starts.extend(start.map(|start| (self.rays.len(), start)));
                 self.rays.push(ray);
-                self.starts.push(start);
                 self.ray_owners.push(index);
             }
         }
@@ -113,7 +113,7 @@ impl<'a> TileTracer<'a> {
         self.ray_owners.clear();
         self.light_samples.clear();
         for (index, surface) in self.surfaces.iter().enumerate() {
-            if let Some(sample) = surface.hit.light_sample(light) {
+            if let Some(sample) = self.paths[surface.path].light_sample(&surface.hit, light) {
                 self.rays.push(sample.ray);
                 self.ray_owners.push(index);
                 self.light_samples.push(sample);

@@ -11,7 +11,7 @@
 //! 1. **Interpolation.** c is the vertex with the greatest weight, m = a e1 + b e2 the way from there to the point; a
 //!    and b are exact by definition. The edges have a [sum's rounding](sum_error) each, together E = |a| error(e1) +
 //!    |b| error(e2); products and their sum one each: 2 u R, where R = |a| |e1| + |b| |e2|; c + m that of a sum.
-//! 2. **To world space.** Each of W's numbers is rounded, and each product and sum ([`transform_error`]).
+//! 2. **To world space.** Each of W's numbers is rounded, and each product and sum ([`Columns::transform`]).
 //! 3. **Adding the offset** rounds once: u |position|.
 //! 4. **To local space,** where the next ray enters the same instance: as step 2, but L is exact by definition, since
 //!    what is drawn is the geometry under L's inverse.
@@ -40,9 +40,9 @@
 use glam::Vec3;
 
 use super::intersect::{max_component, reciprocal_power_of_two};
-use super::math::{cross3, dot3, length3, min, transform_normal, transform_point};
+use super::math::{cross3, dot3, length3, min, transform_normal};
 use super::surface::Surface;
-use crate::device::layout::{InstanceRecord, Triangle};
+use crate::device::layout::{InstanceFlags, InstanceRecord, Triangle};
 
 pub(super) const HALF_ULP: f32 = 1.0 / 16_777_216.0;
 /// Relative to the triangle's extent: 2^-48, a rounding of a rounding.
@@ -74,7 +74,8 @@ pub(crate) fn hit_point(instance: &InstanceRecord, triangle: &Triangle, weights:
     }
     let from_corner = edge_1 * along_1 + edge_2 * along_2;
     let local = corner + from_corner;
-    let position = transform_point(&instance.world_from_local, local);
+    let world_from_local = Columns::of(&instance.world_from_local, instance.flags, InstanceFlags::EXACT_WORLD_ROWS);
+    let (position, to_world_error) = world_from_local.transform(local, 1.0);
 
     // 2. The geometric normal, from edges that are scaled to about 1.
     let extent = max_component(edge_1.abs().max(edge_2.abs()));
@@ -92,15 +93,17 @@ pub(crate) fn hit_point(instance: &InstanceRecord, triangle: &Triangle, weights:
     let normal = world_normal * (scale / scaled_length);
 
     // 3. Bounds of the rounding errors along the normal: in local space steps 1, 4 and 5, in world space 2 and 3.
-    let edges_error = sum_error3(v0, v1, edge_1) * along_1.abs() + sum_error3(v0, v2, edge_2) * along_2.abs();
+    let edges_error = sum_error(v0, v1, edge_1) * along_1.abs() + sum_error(v0, v2, edge_2) * along_2.abs();
     let reach = edge_1.abs() * along_1.abs() + edge_2.abs() * along_2.abs();
     let to_corners = to_likely_corners(edge_1, edge_2, weights);
     let rounded = reach * 2.0 + to_corners * Vec3::new(3.0, 3.0, 4.0);
-    let local_error = ((edges_error * 2.0 + rounded * HALF_ULP) + sum_error3(corner, from_corner, local))
-        + (transform_error(&instance.local_from_world, position, 0.0) + Vec3::splat(LEAST_OFFSET * extent));
+    let local_from_world = Columns::of(&instance.local_from_world, instance.flags, InstanceFlags::EXACT_LOCAL_ROWS);
+    let (_, to_local_error) = local_from_world.transform(position, 0.0);
+    let local_error = ((edges_error * 2.0 + rounded * HALF_ULP) + sum_error(corner, from_corner, local))
+        + (to_local_error + Vec3::splat(LEAST_OFFSET * extent));
     let products = dot3(abs_cross3(unit_1.abs(), unit_2.abs()), to_corners);
     let along_local = dot3(local_normal.abs(), local_error) + products * HALF_ULP;
-    let world_error = transform_error(&instance.world_from_local, local, 1.0) + position.abs() * HALF_ULP;
+    let world_error = to_world_error + position.abs() * HALF_ULP;
 
     // 4. The distance along the world-space normal that covers them.
     let distance = (along_local * scale) / scaled_length + dot3(normal.abs(), world_error);
@@ -130,46 +133,52 @@ fn abs_cross3(a: Vec3, b: Vec3) -> Vec3 {
     Vec3::new(a.y * b.z + a.z * b.y, a.z * b.x + a.x * b.z, a.x * b.y + a.y * b.x)
 }
 
-/// Bounds the error of [`transform_point`] per coordinate. `matrix_rounding` is 1 if the matrix is a rounded one, and 0
-/// if it is exact by definition.
-fn transform_error(rows: &[[f32; 4]; 3], point: Vec3, matrix_rounding: f32) -> Vec3 {
-    let [x, y, z] = rows.map(|[x, y, z, w]| row_error(Vec3::new(x, y, z), w, point, matrix_rounding));
-    Vec3::new(x, y, z)
+/// An affine matrix by columns.
+struct Columns {
+    x: Vec3,
+    y: Vec3,
+    z: Vec3,
+    translation: Vec3,
+    /// Per row: 0 if it is exact, so that it multiplies without rounding; else 1.
+    is_rounded: Vec3,
 }
 
-/// Bounds the error of `row`.`point` + `translation`. What is exact adds nothing: a product with a power of two, a sum
-/// with 0. So the bound is 0 for an instance that is not moved, and a sum's rounding for one that is only moved.
-fn row_error(row: Vec3, translation: f32, point: Vec3, matrix_rounding: f32) -> f32 {
-    let products = row * point;
-    // A rounding of each product, and of each number of the matrix, that is no power of two.
-    let is_rounded = Vec3::new(has_mantissa(row.x), has_mantissa(row.y), has_mantissa(row.z));
-    let product_error = dot3(products.abs(), is_rounded) * (1.0 + matrix_rounding);
-    // The translation of an inverse is exact where its row is one power of two.
-    let is_single = u32::from(row.x != 0.0) + u32::from(row.y != 0.0) + u32::from(row.z != 0.0) <= 1;
-    let is_exact = is_single && max_component(is_rounded) == 0.0;
-    let translation_error = if is_exact { 0.0 } else { translation.abs() * matrix_rounding };
-    // The sums.
-    let sum_xy = products.x + products.y;
-    let sum_xyz = sum_xy + products.z;
-    let sums = sum_error(products.x, products.y, sum_xy)
-        + sum_error(sum_xy, products.z, sum_xyz)
-        + sum_error(sum_xyz, translation, sum_xyz + translation);
-    (product_error + translation_error) * HALF_ULP + sums
+impl Columns {
+    /// `exact_rows` are the three flags of the instance that say which rows are exact.
+    #[inline(always)]
+    fn of(rows: &[[f32; 4]; 3], flags: u32, exact_rows: InstanceFlags) -> Self {
+        let [x, y, z, translation] = [0, 1, 2, 3].map(|i| Vec3::new(rows[0][i], rows[1][i], rows[2][i]));
+        let exact = flags >> exact_rows.bits().trailing_zeros();
+        let is_rounded = [exact & 1, exact >> 1 & 1, exact >> 2 & 1].map(|is_exact| 1.0 - is_exact as f32);
+        Self { x, y, z, translation, is_rounded: is_rounded.into() }
+    }
+
+    /// Transforms a point, as [`transform_point`](super::math::transform_point) does, and bounds the error per
+    /// coordinate. `matrix_rounding` is 1 if the matrix is a rounded one, and 0 if it is exact by definition.
+    ///
+    /// What is exact adds nothing: the products of an exact row, a sum with 0. So the bound is 0 for an instance that
+    /// is not moved, and a sum's rounding for one that is only moved.
+    #[inline(always)]
+    fn transform(&self, point: Vec3, matrix_rounding: f32) -> (Vec3, Vec3) {
+        let (x, y, z) = (self.x * point.x, self.y * point.y, self.z * point.z);
+        let sum_xy = x + y;
+        let sum_xyz = sum_xy + z;
+        let transformed = sum_xyz + self.translation;
+        // A rounding of each product, and of each number of the matrix.
+        let products = (x.abs() + y.abs()) + z.abs();
+        let rounded = products * (1.0 + matrix_rounding) + self.translation.abs() * matrix_rounding;
+        // The sums.
+        let sums = (sum_error(x, y, sum_xy) + sum_error(sum_xy, z, sum_xyz))
+            + sum_error(sum_xyz, self.translation, transformed);
+        (transformed, rounded * self.is_rounded * HALF_ULP + sums)
+    }
 }
 
-/// 1 for a number that is neither 0 nor a power of two, else 0.
-fn has_mantissa(value: f32) -> f32 {
-    if value.to_bits() & 0x007f_ffff == 0 { 0.0 } else { 1.0 }
-}
-
-/// Bounds the rounding error of a sum: half an ulp of it, and no more than the smaller operand, since the greater one
-/// is a number that it could be rounded to.
-fn sum_error(a: f32, b: f32, sum: f32) -> f32 {
-    min(min(a.abs(), b.abs()), sum.abs() * HALF_ULP)
-}
-
-fn sum_error3(a: Vec3, b: Vec3, sum: Vec3) -> Vec3 {
-    Vec3::new(sum_error(a.x, b.x, sum.x), sum_error(a.y, b.y, sum.y), sum_error(a.z, b.z, sum.z))
+/// Bounds the rounding error of a sum, per coordinate: half an ulp of it, and no more than the smaller operand, since
+/// the greater one is a number that it could be rounded to.
+fn sum_error(a: Vec3, b: Vec3, sum: Vec3) -> Vec3 {
+    let smallest = |a: f32, b: f32, sum: f32| min(min(a.abs(), b.abs()), sum.abs() * HALF_ULP);
+    Vec3::new(smallest(a.x, b.x, sum.x), smallest(a.y, b.y, sum.y), smallest(a.z, b.z, sum.z))
 }
 
 /// The origin of a secondary ray with the given direction: the position offset along the geometric normal to the side
@@ -189,6 +198,7 @@ mod tests {
     use crate::compile::Compiler;
     use crate::device::layout::{HitRecord, NONE, RayRecord};
     use crate::graph::{Core, Geometry, Material, Scene, Transform};
+    use crate::trace::kernel::math::transform_point;
     use crate::trace::kernel::surface::{MIN_COSINE, surface_at};
     use crate::trace::kernel::{KernelScene, any_hit, closest_hit};
 

@@ -96,12 +96,19 @@ impl Pixel {
 struct PendingRay {
     origin: Vec3,
     direction: Vec3,
-    /// Which hits it has passed.
-    start: Continuation,
-    turn: Turn,
     bounces: u32,
     /// Factor by which its radiance contributes to the pixel.
     throughput: Vec3,
+    /// Whether it goes on from another ray, by its [`Passage`].
+    goes_on: bool,
+}
+
+/// How a ray goes on from another: which hits it has passed, and where it turns. Kept apart from the
+/// [rays](PendingRay), since most have none.
+#[derive(Clone, Copy)]
+struct Passage {
+    start: Continuation,
+    turn: Turn,
 }
 
 /// Where a refracted ray turns: if it hits nothing up to `t`, it goes on from `origin` in `direction`. Up to there it
@@ -121,20 +128,22 @@ impl Turn {
 impl PendingRay {
     /// A ray from a point, with nothing passed yet.
     fn new(origin: Vec3, direction: Vec3, bounces: u32, throughput: Vec3) -> Self {
-        Self { origin, direction, start: Continuation::START, turn: Turn::NEVER, bounces, throughput }
-    }
-
-    fn turns(&self) -> bool {
-        self.turn.t < f32::MAX
-    }
-
-    /// The direction along which light arrives, reversed.
-    fn view_direction(&self) -> Vec3 {
-        if self.turns() { self.turn.direction } else { self.direction }
+        Self { origin, direction, bounces, throughput, goes_on: false }
     }
 }
 
-/// A pixel in progress: radiance so far and a stack of pending rays.
+impl Passage {
+    const NONE: Self = Self { start: Continuation::START, turn: Turn::NEVER };
+}
+
+impl Turn {
+    fn happens(&self) -> bool {
+        self.t < f32::MAX
+    }
+}
+
+/// A pixel in progress: radiance so far and a stack of pending rays. What most pixels need comes first.
+#[repr(C)]
 pub(crate) struct RayTree {
     pixel: Pixel,
     color: Vec3,
@@ -145,26 +154,17 @@ pub(crate) struct RayTree {
     pending_count: usize,
     /// The stack; `pending[pending_count]` is the ray being traced.
     pending: [PendingRay; MAX_PENDING],
+    /// For each pending ray that goes on.
+    passages: [Passage; MAX_PENDING],
 }
 
-/// A ray and the surface it hit.
+/// The surface that the ray being traced has hit.
 pub(crate) struct SurfaceHit {
-    ray: PendingRay,
     surface: Surface,
     /// Distance along the ray.
     t: f32,
     /// Where the ray goes on behind the surface, if it does.
     behind: Continuation,
-}
-
-impl SurfaceHit {
-    /// The light's sample at this surface, or `None` if it contributes nothing.
-    pub(crate) fn light_sample(&self, light: &LightRecord) -> Option<LightSample> {
-        if self.surface.flags.contains(MaterialFlags::UNLIT) {
-            return None;
-        }
-        sample_light(light, &self.surface, -self.ray.view_direction())
-    }
 }
 
 /// Renders the pixel of which `primary` is the primary ray.
@@ -175,10 +175,10 @@ pub(crate) fn render_pixel<'a>(rays: &mut impl RayQueries<'a>, params: &FramePar
     let scene = rays.scene();
     while let Some((ray, start)) = tree.next_ray(params) {
         // Trace the next ray; a miss adds the sky.
-        let hit = rays.next_hit(&ray, start, params.ray_mask);
+        let hit = rays.next_hit(&ray, start.unwrap_or(Continuation::START), params.ray_mask);
         let Some(surface_hit) = tree.record_hit(scene, params, &hit) else { continue };
         // Sample the lights.
-        let samples = active_lights(scene, params).iter().filter_map(|light| surface_hit.light_sample(light));
+        let samples = active_lights(scene, params).iter().filter_map(|light| tree.light_sample(&surface_hit, light));
         let light = samples
             .fold(Vec3::ZERO, |sum, sample| sum + sample.radiance(rays.transmittance(&sample.ray, params.ray_mask)));
         // Shade, and push secondary rays.
@@ -203,6 +203,7 @@ impl Default for RayTree {
             traced_rays: 0,
             pending_count: 0,
             pending: [nowhere; MAX_PENDING],
+            passages: [Passage::NONE; MAX_PENDING],
         }
     }
 }
@@ -216,18 +217,39 @@ impl RayTree {
         self.pending_count = 1;
     }
 
-    /// Pops the next ray to trace, and what it has passed, or `None` when the pixel is finished. The caller traces it,
+    /// Pops the next ray to trace, and what it has passed if anything, or `None` when the pixel is finished. The caller traces it,
     /// passes the hit to [`record_hit`](Self::record_hit) and, if that returns a surface, the lights' radiance to
     /// [`shade`](Self::shade).
-    pub(crate) fn next_ray(&mut self, params: &FrameParams) -> Option<(RayRecord, Continuation)> {
+    pub(crate) fn next_ray(&mut self, params: &FrameParams) -> Option<(RayRecord, Option<Continuation>)> {
         self.pending_count = self.pending_count.checked_sub(1)?;
         // A pixel that has used up its rays sees what is opaque.
         let is_limited = self.traced_rays >= params.max_rays;
         self.pixel.is_limited |= is_limited;
-        let PendingRay { origin, direction, start, turn, .. } = self.pending[self.pending_count];
-        let start = Continuation { only_opaque: is_limited, ..start };
+        let PendingRay { origin, direction, .. } = self.pending[self.pending_count];
         let [origin, direction] = [origin, direction].map(|v| v.to_array());
-        Some((RayRecord { origin, t_min: start.t_min(), direction, t_max: turn.t }, start))
+        let ray = RayRecord { origin, t_min: 0.0, direction, t_max: f32::MAX };
+        let passage = self.passage();
+        if passage.is_none() && !is_limited {
+            return Some((ray, None));
+        }
+        let Passage { start, turn } = passage.copied().unwrap_or(Passage::NONE);
+        let start = Continuation { only_opaque: is_limited, ..start };
+        Some((RayRecord { t_min: start.t_min(), t_max: turn.t, ..ray }, Some(start)))
+    }
+
+    /// That of the current ray, if it goes on from another.
+    fn passage(&self) -> Option<&Passage> {
+        self.pending[self.pending_count].goes_on.then(|| &self.passages[self.pending_count])
+    }
+
+    /// The turn of the current ray, if it has one.
+    fn turn(&self) -> Option<&Turn> {
+        self.passage().map(|passage| &passage.turn).filter(|turn| turn.happens())
+    }
+
+    /// The direction along which light arrives by the current ray, reversed.
+    fn view_direction(&self) -> Vec3 {
+        self.turn().map_or(self.pending[self.pending_count].direction, |turn| turn.direction)
     }
 
     /// Records the hit of the current ray. A hit returns the surface to shade. A miss returns `None`: it adds sky
@@ -238,11 +260,10 @@ impl RayTree {
         params: &FrameParams,
         hit: &HitRecord,
     ) -> Option<SurfaceHit> {
-        let ray = self.pending[self.pending_count];
+        let ray = &self.pending[self.pending_count];
         self.traced_rays += 1;
         // Nothing up to the turn: go on from there.
-        if hit.instance == NONE && ray.turns() {
-            let Turn { origin, direction, .. } = ray.turn;
+        if let Some(&Turn { origin, direction, .. }) = self.turn().filter(|_| hit.instance == NONE) {
             self.pending[self.pending_count] = PendingRay::new(origin, direction, ray.bounces, ray.throughput);
             self.pending_count += 1;
             return None;
@@ -253,7 +274,7 @@ impl RayTree {
             return None;
         }
         // Hit: reconstruct the surface.
-        let surface = surface_at(scene, hit, ray.view_direction());
+        let surface = surface_at(scene, hit, self.view_direction());
         // The first ray is the primary ray: it gives the pixel's normal, distance and identifiers.
         if self.traced_rays == 1 {
             let [slot, version] = scene.instances[hit.instance as usize].node_key;
@@ -264,20 +285,34 @@ impl RayTree {
         // Only where something is seen behind the surface does the ray go on.
         let goes_on = surface.flags.contains(MaterialFlags::BLEND) || surface.transmission > 0.0;
         let behind = if goes_on { Continuation::behind(scene, hit, ray.direction) } else { Continuation::START };
-        Some(SurfaceHit { ray, surface, t: hit.t, behind })
+        Some(SurfaceHit { surface, t: hit.t, behind })
     }
 
-    /// Adds the surface's emitted and reflected radiance, `light` of it from lights, and pushes its secondary rays. The
+    /// The light's sample at the surface that the current ray has hit, or `None` if it contributes nothing.
+    pub(crate) fn light_sample(&self, hit: &SurfaceHit, light: &LightRecord) -> Option<LightSample> {
+        if hit.surface.flags.contains(MaterialFlags::UNLIT) {
+            return None;
+        }
+        sample_light(light, &hit.surface, -self.view_direction())
+    }
+
+    /// Adds the radiance that the surface hit by the current ray emits and reflects, `light` of it from lights, and
+    /// pushes its secondary rays. The
     /// ray behind a blended surface is pushed first, so it is traced last, and no other ray of this surface is pending
     /// then (see [`MAX_PENDING`]).
     pub(crate) fn shade(&mut self, params: &FrameParams, hit: &SurfaceHit, light: Vec3) {
-        let SurfaceHit { ray, surface, .. } = hit;
-        let direction = ray.view_direction();
+        let SurfaceHit { surface, .. } = hit;
+        let ray = self.pending[self.pending_count];
+        let direction = self.view_direction();
+        // What goes straight on behind the surface has passed it, and turns where this ray does.
+        let turn = self.turn().copied().unwrap_or(Turn::NEVER);
+        let passage = Passage { start: hit.behind, turn };
         // 1. Alpha blends the surface over the ray behind it.
         let mut throughput = ray.throughput;
         if surface.flags.contains(MaterialFlags::BLEND) {
             let alpha = surface.base_color.w;
-            self.push_ray(params, PendingRay { start: hit.behind, throughput: throughput * (1.0 - alpha), ..*ray });
+            let behind = PendingRay { throughput: throughput * (1.0 - alpha), goes_on: true, ..ray };
+            self.push_ray(params, behind, passage);
             throughput *= alpha;
         }
         // Unlit surfaces show their base colour, and nothing else.
@@ -307,29 +342,34 @@ impl RayTree {
         // 3. Push the refracted and the reflected ray.
         let bounces = ray.bounces + 1;
         if surface.transmission > 0.0 {
-            let turn =
-                if surface.thin { ray.turn } else { hit.turn(refracted_direction(surface, direction, cosine, eta)) };
+            let refracted = || hit.turn(ray.direction, refracted_direction(surface, direction, cosine, eta));
+            let turn = if surface.thin { turn } else { refracted() };
             let throughput = throughput * lobes.specular_transmission;
-            self.push_ray(params, PendingRay { start: hit.behind, turn, bounces, throughput, ..*ray });
+            let behind = PendingRay { bounces, throughput, goes_on: true, ..ray };
+            self.push_ray(params, behind, Passage { turn, ..passage });
         }
         if sharp > 0.0 {
             let origin = offset_ray_origin(surface, reflected_direction);
             let throughput = throughput * (lobes.specular_reflection * sharp);
-            self.push_ray(params, PendingRay::new(origin, reflected_direction, bounces, throughput));
+            self.push_ray(params, PendingRay::new(origin, reflected_direction, bounces, throughput), Passage::NONE);
         }
     }
 
-    /// Pushes a ray; beyond the depth limit, below [`MIN_THROUGHPUT`], or if the pixel has used up its rays, adds sky
+    /// Pushes a ray, and how it goes on if it does; beyond the depth limit, below [`MIN_THROUGHPUT`], or if the pixel has used up its rays, adds sky
     /// radiance instead.
-    fn push_ray(&mut self, params: &FrameParams, ray: PendingRay) {
+    fn push_ray(&mut self, params: &FrameParams, ray: PendingRay, passage: Passage) {
         let is_deep = ray.bounces > params.max_depth.min(MAX_DEPTH);
         let is_last = self.pixel.is_limited || self.pending_count == MAX_PENDING;
         // Cut off: the sky stands in for what the ray would have met.
         if is_deep || is_last || max_component(ray.throughput) < MIN_THROUGHPUT {
-            self.color += ray.throughput * sky_radiance(params, ray.view_direction());
+            let direction = if passage.turn.happens() { passage.turn.direction } else { ray.direction };
+            self.color += ray.throughput * sky_radiance(params, direction);
             return;
         }
         self.pending[self.pending_count] = ray;
+        if ray.goes_on {
+            self.passages[self.pending_count] = passage;
+        }
         self.pending_count += 1;
     }
 
@@ -350,11 +390,11 @@ fn component_sum(color: Vec3) -> f32 {
 }
 
 impl SurfaceHit {
-    /// The turn of a ray that is refracted into `direction`. It comes after all that touches the surface: twice the
+    /// The turn of a ray along `incoming` that is refracted into `direction`. It comes after all that touches the surface: twice the
     /// offset of secondary rays, and four steps of the order of hits, measured along the normal.
-    fn turn(&self, direction: Vec3) -> Turn {
-        let Self { ray, surface, t, .. } = self;
-        let cosine = max(dot3(ray.direction, surface.geometric_normal).abs(), MIN_COSINE);
+    fn turn(&self, incoming: Vec3, direction: Vec3) -> Turn {
+        let Self { surface, t, .. } = self;
+        let cosine = max(dot3(incoming, surface.geometric_normal).abs(), MIN_COSINE);
         let t = t + (2.0 * surface.ray_offset + 4.0 * TOUCH_STEP * t) / cosine;
         Turn { t, origin: offset_ray_origin(surface, direction), direction }
     }
