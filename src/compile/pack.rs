@@ -90,8 +90,8 @@ impl InstanceTransform {
     }
 }
 
-/// Whether a row of an affine matrix multiplies without rounding: one number of the linear part is not zero, and that is
-/// a power of two.
+/// Whether a row of an affine matrix multiplies without rounding: one number of the linear part is not zero, and that
+/// is a power of two.
 fn is_exact(row: &[f32; 4]) -> bool {
     let [x, y, z, _] = *row;
     let mut factors = [x, y, z].into_iter().filter(|&factor| factor != 0.0);

@@ -217,9 +217,9 @@ impl RayTree {
         self.pending_count = 1;
     }
 
-    /// Pops the next ray to trace, and what it has passed if anything, or `None` when the pixel is finished. The caller traces it,
-    /// passes the hit to [`record_hit`](Self::record_hit) and, if that returns a surface, the lights' radiance to
-    /// [`shade`](Self::shade).
+    /// Pops the next ray to trace, and what it has passed if anything, or `None` when the pixel is finished. The caller
+    /// traces it, passes the hit to [`record_hit`](Self::record_hit) and, if that returns a surface, the lights'
+    /// radiance to [`shade`](Self::shade).
     pub(crate) fn next_ray(&mut self, params: &FrameParams) -> Option<(RayRecord, Option<Continuation>)> {
         self.pending_count = self.pending_count.checked_sub(1)?;
         // A pixel that has used up its rays sees what is opaque.
@@ -355,8 +355,8 @@ impl RayTree {
         }
     }
 
-    /// Pushes a ray, and how it goes on if it does; beyond the depth limit, below [`MIN_THROUGHPUT`], or if the pixel has used up its rays, adds sky
-    /// radiance instead.
+    /// Pushes a ray, and how it goes on if it does; beyond the depth limit, below [`MIN_THROUGHPUT`], or if the pixel
+    /// has used up its rays, adds sky radiance instead.
     fn push_ray(&mut self, params: &FrameParams, ray: PendingRay, passage: Passage) {
         let is_deep = ray.bounces > params.max_depth.min(MAX_DEPTH);
         let is_last = self.pixel.is_limited || self.pending_count == MAX_PENDING;
@@ -390,8 +390,8 @@ fn component_sum(color: Vec3) -> f32 {
 }
 
 impl SurfaceHit {
-    /// The turn of a ray along `incoming` that is refracted into `direction`. It comes after all that touches the surface: twice the
-    /// offset of secondary rays, and four steps of the order of hits, measured along the normal.
+    /// The turn of a ray along `incoming` that is refracted into `direction`. It comes after all that touches the
+    /// surface: twice the offset of secondary rays, and four steps of the order of hits, measured along the normal.
     fn turn(&self, incoming: Vec3, direction: Vec3) -> Turn {
         let Self { surface, t, .. } = self;
         let cosine = max(dot3(incoming, surface.geometric_normal).abs(), MIN_COSINE);
