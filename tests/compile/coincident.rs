@@ -66,9 +66,10 @@ impl Line {
         self.shown.remove(&node);
     }
 
-    /// The nodes that are shown at a place.
-    fn at(&self, place: u32) -> BTreeSet<NodeKey> {
-        let here = self.shown.iter().filter(|(_, content)| content.visible && content.place == place);
+    /// The nodes that are shown at a place to rays of a mask.
+    fn at(&self, place: u32, ray_mask: u32) -> BTreeSet<NodeKey> {
+        let is_shown = |content: &Content| content.visible && content.mask & ray_mask != 0;
+        let here = self.shown.iter().filter(|(_, content)| is_shown(content) && content.place == place);
         here.map(|(&node, _)| node).collect()
     }
 
@@ -83,10 +84,10 @@ fn nodes(paths: Vec<NodePath>) -> BTreeSet<NodeKey> {
     paths.into_iter().map(|path| path.node).collect()
 }
 
-/// Compares all queries at each place with what is shown there.
-fn check(line: &mut Line, compiler: &mut Compiler) {
-    let expected: Vec<BTreeSet<NodeKey>> = (0..4).map(|place| line.at(place)).collect();
-    let queries = Queries::new(compiler, &mut line.scene).unwrap();
+/// Compares all queries by rays of a mask, at each place, with what is shown there.
+fn check(line: &mut Line, compiler: &mut Compiler, ray_mask: u32) {
+    let expected: Vec<BTreeSet<NodeKey>> = (0..4).map(|place| line.at(place, ray_mask)).collect();
+    let queries = Queries::new(compiler, &mut line.scene).unwrap().with_ray_mask(ray_mask);
     for (place, expected) in (0..).zip(&expected) {
         let center = DVec3::X * (4.0 * f64::from(place));
         // 1. Rays: all are hit, and first the one that is nearest in the order of hits.
@@ -130,7 +131,8 @@ fn random_edits_show_every_instance_that_coincides() {
                 assert_eq!(report.instances, line.counts().1);
                 merged += report.coincident_instances;
                 promoted += usize::from(matches!(report.tlas, TlasUpdate::Patched { .. }));
-                check(&mut line, &mut compiler);
+                check(&mut line, &mut compiler, u32::MAX);
+                check(&mut line, &mut compiler, 2);
                 // Compiled from nothing, each content is there once.
                 let report = Compiler::new().compile(&mut line.scene, DVec3::ZERO).unwrap();
                 assert_eq!((report.instances - report.coincident_instances, report.instances), line.counts());
