@@ -4,6 +4,7 @@ const BOX_ENTRY_SCALE: f32 = 1.0 - 0x1p-18;
 const MIN_RELATIVE_COMPONENT: f32 = 0x1p-64;
 const MIN_COMPONENT: f32 = 0x1p-120;
 const SQRT_MAX_QUOTIENT: f32 = 0x1p63;
+const ROUNDING: f32 = 0x1p-23;
 const CORNER_TOLERANCE: f32 = 0x1p-22;
 const EDGE_TOLERANCE: f32 = 0x1p-21;
 const START_ZONE: f32 = 0x1p-6;
@@ -26,6 +27,8 @@ struct ShearRay {
     scale: f32,
     // Factor from t to units of sheared x and y.
     t_to_sheared: f32,
+    // The magnitudes of the slopes in `x_row` and `y_row`, before they are scaled: at most 1.
+    slopes: vec2<f32>,
 }
 
 // Intersection of a ray and a triangle: t, barycentric weights u of v1 and v of v2, facing.
@@ -81,27 +84,36 @@ fn shear_ray(origin: vec3<f32>, direction: vec3<f32>, extent: f32) -> ShearRay {
     var y_row: vec3<f32>;
     var t_row: vec3<f32>;
     var major_component: f32;
+    var slopes: vec2<f32>;
     if length.x >= length.y && length.x >= length.z {
         major_component = direction.x;
-        x_row = vec3<f32>(-direction.y / major_component, 1.0, 0.0);
-        y_row = vec3<f32>(-direction.z / major_component, 0.0, 1.0);
+        slopes = vec2<f32>(-direction.y / major_component, -direction.z / major_component);
+        x_row = vec3<f32>(slopes.x, 1.0, 0.0);
+        y_row = vec3<f32>(slopes.y, 0.0, 1.0);
         t_row = vec3<f32>(1.0 / major_component, 0.0, 0.0);
     } else if length.y >= length.z {
         major_component = direction.y;
-        x_row = vec3<f32>(0.0, -direction.z / major_component, 1.0);
-        y_row = vec3<f32>(1.0, -direction.x / major_component, 0.0);
+        slopes = vec2<f32>(-direction.z / major_component, -direction.x / major_component);
+        x_row = vec3<f32>(0.0, slopes.x, 1.0);
+        y_row = vec3<f32>(1.0, slopes.y, 0.0);
         t_row = vec3<f32>(0.0, 1.0 / major_component, 0.0);
     } else {
         major_component = direction.z;
-        x_row = vec3<f32>(1.0, 0.0, -direction.x / major_component);
-        y_row = vec3<f32>(0.0, 1.0, -direction.y / major_component);
+        slopes = vec2<f32>(-direction.x / major_component, -direction.y / major_component);
+        x_row = vec3<f32>(1.0, 0.0, slopes.x);
+        y_row = vec3<f32>(0.0, 1.0, slopes.y);
         t_row = vec3<f32>(0.0, 0.0, 1.0 / major_component);
     }
     // Swap x and y for negative directions to preserve the winding.
     if major_component < 0.0 {
-        return ShearRay(origin, direction, y_row * scale, x_row * scale, t_row, scale, -major_component * scale);
+        let swapped = x_row;
+        x_row = y_row;
+        y_row = swapped;
+        slopes = slopes.yx;
     }
-    return ShearRay(origin, direction, x_row * scale, y_row * scale, t_row, scale, major_component * scale);
+    // Apply it to x and y; t keeps the unit of the ray.
+    let t_to_sheared = abs(major_component) * scale;
+    return ShearRay(origin, direction, x_row * scale, y_row * scale, t_row, scale, t_to_sheared, abs(slopes));
 }
 
 fn intersect_triangle(ray: ShearRay, triangle: Triangle) -> TriangleHit {
@@ -119,8 +131,8 @@ fn intersect_triangle(ray: ShearRay, triangle: Triangle) -> TriangleHit {
     let z = abs(t) * ray.t_to_sheared;
 
     // 1. Reject the ray if it misses the projected triangle's bounds by more than the rounding error of each corner.
-    let x_tolerance = (z + x_abs) * CORNER_TOLERANCE;
-    let y_tolerance = (z + y_abs) * CORNER_TOLERANCE;
+    let x_tolerance = (z * ray.slopes.x + x_abs) * CORNER_TOLERANCE;
+    let y_tolerance = (z * ray.slopes.y + y_abs) * CORNER_TOLERANCE;
     if min_component(x - x_tolerance) > 0.0 || max_component(x + x_tolerance) < 0.0
         || min_component(y - y_tolerance) > 0.0 || max_component(y + y_tolerance) < 0.0 {
         return TriangleHit();
@@ -133,7 +145,8 @@ fn intersect_triangle(ray: ShearRay, triangle: Triangle) -> TriangleHit {
     weights = select(weights, -weights, back);
     let x_extent = max_component(x_abs);
     let y_extent = max_component(y_abs);
-    let tolerance = EDGE_TOLERANCE * (max_component(z) * (x_extent + y_extent) + 4.0 * (x_extent * y_extent));
+    let depth_share = max_component(z) * (y_extent * ray.slopes.x + x_extent * ray.slopes.y);
+    let tolerance = EDGE_TOLERANCE * (depth_share + 4.0 * (x_extent * y_extent));
     if min_component(weights) < -tolerance {
         return TriangleHit();
     }
@@ -143,7 +156,8 @@ fn intersect_triangle(ray: ShearRay, triangle: Triangle) -> TriangleHit {
         let edge_x = greater_of_others(x_abs);
         let edge_y = greater_of_others(y_abs);
         let edge_z = greater_of_others(z);
-        let tolerances = EDGE_TOLERANCE * (edge_z * (edge_x + edge_y) + 4.0 * (edge_x * edge_y));
+        let depth_shares = edge_z * (edge_y * ray.slopes.x + edge_x * ray.slopes.y);
+        let tolerances = EDGE_TOLERANCE * (depth_shares + 4.0 * (edge_x * edge_y));
         if min_component(weights + tolerances) < 0.0 {
             return TriangleHit();
         }
@@ -156,13 +170,19 @@ fn intersect_triangle(ray: ShearRay, triangle: Triangle) -> TriangleHit {
         return TriangleHit();
     }
     weights = weights * (1.0 / area);
-    // Outside an edge, t is that of the point on the edge: the plane may be crossed far from it. But a plane behind the
-    // ray's start stays there.
-    var t_hit = plane_t(ray, triangle, t, weights);
-    if is_outside && t_hit >= 0.0 {
-        t_hit = dot3(weights, t);
+    let least_t = min_component(t);
+    let greatest_t = max_component(t);
+    let at_plane = plane_t(ray, triangle, t, weights);
+    var t_hit = min(max(at_plane, least_t), greatest_t);
+    if is_outside && at_plane >= 0.0 {
+        // Outside an edge, t is that of the point on the edge: the plane may be crossed far from it. But a plane behind
+        // the ray's start stays there.
+        t_hit = min(max(dot3(weights, t), least_t), greatest_t);
+    } else if t_hit != at_plane {
+        // Where the plane is crossed beyond the vertices, rounding explains as much as its bound.
+        let bound = plane_t_bound(ray, triangle, at_plane, weights);
+        t_hit = min(max(t_hit, at_plane - bound), at_plane + bound);
     }
-    t_hit = min(max(t_hit, min_component(t)), max_component(t));
     // Near the ray's start the tolerance admits nothing (point 2).
     let start_zone = START_ZONE * (max_component(z) + (x_extent + y_extent));
     if is_outside && abs(t_hit) * ray.t_to_sheared <= start_zone {
@@ -193,4 +213,23 @@ fn plane_t(ray: ShearRay, triangle: Triangle, t: vec3<f32>, weights: vec3<f32>) 
         return corner_t;
     }
     return height / slope;
+}
+
+// The bound of the rounding error of `plane_t` (point 5), where that is not the t of a vertex.
+fn plane_t_bound(ray: ShearRay, triangle: Triangle, at_plane: f32, weights: vec3<f32>) -> f32 {
+    let a = (triangle.v1 - triangle.v0) * ray.scale;
+    let b = (triangle.v2 - triangle.v0) * ray.scale;
+    let plus = vec3<f32>(a.y * b.z, a.z * b.x, a.x * b.y);
+    let minus = vec3<f32>(a.z * b.y, a.x * b.z, a.y * b.x);
+    let normal = plus - minus;
+    let products = abs(plus) + abs(minus);
+    // The vertex with the greatest weight, and the direction, by their magnitudes.
+    var corner = triangle.v2;
+    if weights.x >= weights.y && weights.x >= weights.z {
+        corner = triangle.v0;
+    } else if weights.y >= weights.z {
+        corner = triangle.v1;
+    }
+    let rounded = 8.0 * dot3(products, abs(corner - ray.origin)) + 7.0 * (abs(at_plane) * dot3(products, abs(ray.direction)));
+    return (rounded / abs(dot3(normal, ray.direction)) + 3.0 * abs(at_plane)) * ROUNDING;
 }

@@ -4,11 +4,15 @@ use glam::{Vec3, Vec4, Vec4Swizzles};
 
 use super::tree::SimdAabb;
 
-/// Pads a box on every side by 2 to 4 ulp of the coordinate, 2^-22 of the box's longest side, and the smallest normal
-/// float.
+/// The share of its longest side by which a box is padded: 2^-18.
+pub(super) const SIDE_MARGIN: f32 = 1.0 / (1 << 18) as f32;
+
+/// Pads a box on every side by 2 to 4 ulp of the coordinate, 2^-18 of the box's longest side ([`SIDE_MARGIN`]), and the
+/// smallest normal float.
 ///
 /// Without padding the slab test misses rays that lie in a face plane, and all rays through a flat box. Ulps alone do
-/// not help a flat box at coordinate 0, hence the share of the longest side; the smallest normal float serves a box
+/// not help a flat box at coordinate 0. The share of the longest side is what the tolerance of the triangle test
+/// requires (`trace::kernel::intersect`, point 3); the smallest normal float serves a box
 /// that is a point (a subnormal would be flushed to zero on some GPUs). Every operation is monotonic, so a box inside
 /// another stays inside. The result is finite.
 pub(super) fn pad_corners(min: Vec3, max: Vec3) -> (Vec3, Vec3) {
@@ -24,7 +28,7 @@ pub(super) fn pad_bounds(SimdAabb { min, max }: SimdAabb) -> SimdAabb {
     // hundredfold: clear them.
     let (min, max) = (min.with_w(0.0), max.with_w(0.0));
     let half_side = (max * 0.5 - min * 0.5).max_element();
-    let margin = Vec4::splat(half_side * (2.0 * ULPS) + f32::MIN_POSITIVE);
+    let margin = Vec4::splat(half_side * (2.0 * SIDE_MARGIN) + f32::MIN_POSITIVE);
     let finite = Vec4::splat(f32::MAX);
     SimdAabb {
         min: (min - (min.abs() * ULPS + margin)).max(-finite),

@@ -15,7 +15,7 @@ const PROBE_DIRECTION: DVec3 = DVec3::new(0.612_372_435, 0.267_261_241, 0.744_02
 /// Point containment.
 impl Queries<'_> {
     /// The nodes whose world box contains the point, boundary included. The boxes are those of the acceleration
-    /// structure: wider than the geometry by 2^-22 of their size and of their distance to the render origin, and by
+    /// structure: wider than the geometry by 2^-18 of their size, 2^-22 of their distance to the render origin, and by
     /// more if a matrix is nearly singular. O(log instances + found) on average.
     ///
     /// # Errors

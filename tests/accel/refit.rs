@@ -41,8 +41,9 @@ fn check(name: &str, mesh: &Mesh, moved: &Mesh, quality: Quality) {
     let fresh = build(&geometry(moved), quality);
     assert_eq!(blas.bounds, fresh.bounds, "{name}");
     let extent = fresh.bounds.max - fresh.bounds.min;
+    // A build with spatial splits widens boxes once more, by 2^-18 of a triangle's size.
     let slack = |a: [f32; 3], b: [f32; 3]| {
-        (Vec3::from(a) - Vec3::from(b)).abs().cmple(extent.max_element() * 1e-6 + Vec3::from(b).abs() * 1e-6)
+        (Vec3::from(a) - Vec3::from(b)).abs().cmple(extent.max_element() * 8e-6 + Vec3::from(b).abs() * 1e-6)
     };
     if let (Some(root), Some(expected)) = (blas.nodes.first(), fresh.nodes.first()) {
         assert!((slack(root.min, expected.min) & slack(root.max, expected.max)).all(), "{name}: {root:?} {expected:?}");

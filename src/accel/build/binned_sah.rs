@@ -7,7 +7,7 @@
 use super::coincident::CoincidentTriangles;
 use super::object_bins::{BinMapping, ObjectBins, ObjectSplit, PARALLEL_BINNING_THRESHOLD};
 use super::partition::{partition, partition_parallel};
-use super::spatial_split::{self, SpatialSplit, SpatialSplits};
+use super::spatial_split::{self, SpatialSplit, SpatialSplits, widen_references};
 use crate::Cancel;
 use crate::accel::tree::{
     BuildNode, BuildTree, MAX_SAH_DEPTH, PARALLEL_SUBTREE_THRESHOLD, PrimitiveReference, ReferenceBounds, SahParams,
@@ -28,7 +28,8 @@ pub(super) fn build(
     if count == 0 {
         return BuildTree::default();
     }
-    // 1. Reserve room for the references that spatial splits add.
+    // 1. Reserve room for the references that spatial splits add, and widen those that may be divided.
+    let extent = &splits.map_or(*extent, |_| widen_references(&mut references));
     let capacity = count + splits.map_or(0, |splits| splits.duplicate_budget);
     references.resize(capacity, bytemuck::Zeroable::zeroed());
     // 2. Allocate node and index arrays for the worst case; pages that are never written take no memory.

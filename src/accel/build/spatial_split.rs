@@ -6,6 +6,7 @@ use rayon::prelude::*;
 
 use super::object_bins::{CHUNK_SIZE, PARALLEL_BINNING_THRESHOLD};
 use super::triangle_clip::{ClippedBounds, TriangleClipper, can_clip};
+use crate::accel::padding::SIDE_MARGIN;
 use crate::accel::tree::{PrimitiveReference, ReferenceBounds, SimdAabb};
 use crate::device::layout::PrimitiveRange;
 use crate::graph::Geometry;
@@ -30,6 +31,21 @@ impl<'a> SpatialSplits<'a> {
         let duplicate_budget = ((count as f32 * share) as usize).min(max_budget);
         can_clip(&extent.aabb()).then_some(Self { geometry, duplicate_budget, spatial_only: false })
     }
+}
+
+/// Widens the boxes of references to whole triangles by what the triangle test requires of the boxes around them
+/// ([`SIDE_MARGIN`]): once a triangle has been divided, the boxes of its parts do not tell its size. Returns their new
+/// bounds. O(n).
+pub(super) fn widen_references(references: &mut [PrimitiveReference]) -> ReferenceBounds {
+    let widen = |references: &mut [PrimitiveReference]| {
+        references.iter_mut().fold(ReferenceBounds::EMPTY, |extent, reference| {
+            let SimdAabb { min, max } = reference.bounds();
+            let margin = Vec4::splat((max - min).xyz().max_element() * SIDE_MARGIN);
+            *reference = reference.clipped_to(&SimdAabb { min: min - margin, max: max + margin });
+            extent.extended_by(reference)
+        })
+    };
+    references.par_chunks_mut(CHUNK_SIZE).map(widen).reduce(|| ReferenceBounds::EMPTY, ReferenceBounds::union)
 }
 
 /// The most spatial bins along an axis.

@@ -2,6 +2,7 @@
 
 use glam::Vec4;
 
+use crate::accel::padding::SIDE_MARGIN;
 use crate::accel::tree::SimdAabb;
 use crate::graph::Geometry;
 use crate::math::Aabb;
@@ -19,7 +20,7 @@ pub(super) struct ClippedBounds {
     pub(super) right: SimdAabb,
 }
 
-/// Relative margin of a clipped box: 2^-21.
+/// Margin of a clipped box, relative to the triangle's largest coordinate: 2^-21.
 const CLIP_MARGIN: f32 = 1.0 / (1 << 21) as f32;
 
 impl TriangleClipper {
@@ -29,12 +30,14 @@ impl TriangleClipper {
         let [a, b, c] = corners;
         let longest = (a.max(b).max(c) - a.min(b).min(c)).max_element();
         let farthest = a.abs().max(b.abs()).max(c.abs());
-        Self { corners, margin: (farthest + longest) * CLIP_MARGIN + f32::MIN_POSITIVE }
+        Self { corners, margin: farthest * CLIP_MARGIN + (longest * SIDE_MARGIN + f32::MIN_POSITIVE) }
     }
 
-    /// Boxes around the parts of the triangle on either side of the plane, each intersected with `bounds`.
+    /// Boxes around the parts of the triangle on either side of the plane, each intersected with `bounds`, the box of
+    /// the part that is divided.
     ///
-    /// Both are widened by 2^-21 times the sum of the triangle's longest side and, per axis, its largest absolute
+    /// Both are widened by 2^-18 times the triangle's longest side ([`SIDE_MARGIN`]), as the whole box is beforehand
+    /// ([`widen_references`](super::spatial_split::widen_references)), and 2^-21 times, per axis, its largest absolute
     /// coordinate. This covers the rounding of the intersection points here (at most half of it) and the rounding that
     /// the proof of the traversal assumes (`trace::kernel::intersect`, point 3): the kernel meets the triangle at a
     /// rounded weighted mean of its corners, which may be off by 2^-24 of the longest corner vector relative to the ray
@@ -63,7 +66,7 @@ impl TriangleClipper {
                 right = right.extended_to(point);
             }
         }
-        // Widen by the margin, but stay inside the given box.
+        // Widen by the margin, but stay inside the given box, which has been widened before.
         ClippedBounds { left: self.within(left, bounds), right: self.within(right, bounds) }
     }
 

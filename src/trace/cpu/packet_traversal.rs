@@ -15,7 +15,7 @@ use super::ray_packet::LocalPacket;
 use super::shear::Shear;
 use super::simd::{F32Lanes, LANES, load, map_axes, splat_axes};
 use super::single_traversal::{SingleScratch, intersect_leaf_single_rays, traverse_single_rays};
-use super::triangle_test::{PlaneOperands, intersect_triangles, plane_distances};
+use super::triangle_test::{PlaneOperands, intersect_triangles};
 use crate::device::layout::{PrimitiveRange, Triangle, WideNode};
 
 /// At or below this many active rays the packet switches to single-ray traversal.
@@ -104,19 +104,13 @@ impl<'a, S: Simd, Q: PacketQuery, N: NodeTest<'a, S>> PacketTraversal<'a, S, Q, 
             lanes,
             corners,
             load(&rays.t_to_sheared),
+            [load(&rays.slopes[0]), load(&rays.slopes[1])],
             #[inline(always)]
-            |t, weights| {
-                let operands = PlaneOperands {
-                    origin: [load(&rays.origins[0]), load(&rays.origins[1]), load(&rays.origins[2])],
-                    direction: [load(&rays.directions[0]), load(&rays.directions[1]), load(&rays.directions[2])],
-                    corners: [
-                        splat_axes(simd, triangle.v0),
-                        splat_axes(simd, triangle.v1),
-                        splat_axes(simd, triangle.v2),
-                    ],
-                    scale: -shear.minus_scale,
-                };
-                plane_distances(&operands, t, weights)
+            || PlaneOperands {
+                origin: [load(&rays.origins[0]), load(&rays.origins[1]), load(&rays.origins[2])],
+                direction: [load(&rays.directions[0]), load(&rays.directions[1]), load(&rays.directions[2])],
+                corners: [splat_axes(simd, triangle.v0), splat_axes(simd, triangle.v1), splat_axes(simd, triangle.v2)],
+                scale: -shear.minus_scale,
             },
         );
         let Some((mut hit_lanes, hits)) = hits else { return };

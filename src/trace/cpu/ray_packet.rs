@@ -83,6 +83,8 @@ pub(super) struct LocalPacket {
     pub(super) reciprocals: [F32Lanes; 3],
     pub(super) t_min: F32Lanes,
     pub(super) shear: Shear<F32Lanes>,
+    /// The magnitudes of the shear's slopes, before they are scaled.
+    pub(super) slopes: [F32Lanes; 2],
     /// Ray origins permuted to the shear axes.
     pub(super) sheared_origins: [F32Lanes; 3],
     /// Factor from t to units of sheared x and y.
@@ -127,9 +129,10 @@ impl LocalPacket {
         // Compute the shear as `kernel::shear_ray` does, scaled by a power of two to coordinates of about 1.
         let extents = max_component(abs(origins)).max(f32x16::splat(simd, grid_extent(root)));
         let scale = reciprocal_power_of_two(simd, extents);
+        let slopes = [-i / depth, -j / depth];
         let shear = Shear {
             minus_scale: (-scale).into(),
-            slopes: [(-i / depth * scale).into(), (-j / depth * scale).into()],
+            slopes: [(slopes[0] * scale).into(), (slopes[1] * scale).into()],
             t_scale: (f32x16::splat(simd, 1.0) / depth).into(),
         };
 
@@ -142,6 +145,7 @@ impl LocalPacket {
             reciprocals: store(reciprocals),
             t_min: packet.t_min.into(),
             shear,
+            slopes: [slopes[0].abs().into(), slopes[1].abs().into()],
             sheared_origins: store(sheared_origins),
             t_to_sheared: (depth.abs() * scale).into(),
             shear_axes: axes.rows(simd).into(),

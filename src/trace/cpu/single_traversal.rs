@@ -10,9 +10,7 @@ use super::packet_queries::{InstanceGeometry, PacketQuery, QueryLane};
 use super::ray_packet::LocalPacket;
 use super::shear::{Shear, inverse_shear_axes};
 use super::simd::{F32Lanes, LANES, lanes_of, load, map_axes};
-use super::triangle_test::{
-    PlaneOperands, first_four, gather_corners, intersect_triangles, plane_distances, split_corners,
-};
+use super::triangle_test::{PlaneOperands, first_four, gather_corners, intersect_triangles, split_corners};
 use super::wide_node::{child_planes, grid_step, hit_slots, near_far_shuffles, ray_interval};
 use crate::device::layout::{PrimitiveRange, Triangle, WideNode};
 use crate::trace::kernel::{BOX_ENTRY_SCALE, TriangleHit};
@@ -248,15 +246,16 @@ fn intersect_four_triangles<S: Simd>(
         lanes,
         corners,
         splat_lane(simd, &rays.t_to_sheared, lane),
+        [splat_lane(simd, &rays.slopes[0], lane), splat_lane(simd, &rays.slopes[1], lane)],
         #[inline(always)]
-        |t, weights| {
+        || {
             // Permute the vertices back from shear axes.
             let [x, y, z] = map_axes(
                 inverse_shear_axes(axes),
                 #[inline(always)]
                 |shear_axis: usize| split_corners(load(simd, in_memory[shear_axis])),
             );
-            let operands = PlaneOperands {
+            PlaneOperands {
                 origin: map_axes(
                     [0, 1, 2],
                     #[inline(always)]
@@ -269,8 +268,7 @@ fn intersect_four_triangles<S: Simd>(
                 ),
                 corners: [[x[0], y[0], z[0]], [x[1], y[1], z[1]], [x[2], y[2], z[2]]],
                 scale: -splat_lane::<S, f32x4<S>>(simd, &rays.shear.minus_scale, lane),
-            };
-            plane_distances(&operands, t, weights)
+            }
         },
     );
     let Some((mut hit_lanes, hits)) = hits else { return false };

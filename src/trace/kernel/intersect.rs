@@ -15,22 +15,28 @@
 //!    from inside hits a triangle whose exact edge functions of x* and y* have one sign. It has to be shown that this
 //!    triangle is accepted, and that its boxes are.
 //! 2. **Triangle.** Let X, Y, Z be the largest |x|, |y|, |p.z| of its corners. The computed x is a product and a sum
-//!    off x*: at most v (|p.z| + |x|) of that corner. The corners reach both sides of the ray within twice that,
-//!    [`CORNER_TOLERANCE`]. An edge function is a difference of two products: at most v (2 Z (X + Y) + 4 X Y) off for
-//!    its corners and 4 v X Y for its own three operations. Twice the sum is the tolerance, [`EDGE_TOLERANCE`]; the
-//!    factor two covers terms in v^2. X, Y and Z may be those of the edge's two corners alone: a tighter tolerance, so
-//!    that a ray that leaves past a convex edge misses what lies behind it. It is that of both triangles at an edge, as
-//!    is that of a corner: at a ridge a ray hits both or neither. A ray that starts on the surface beside a convex edge
-//!    would still hit the far side of it: while it has not gone far, it is no higher above the edge than the tolerance.
-//!    Off a plane of slope `MIN_COSINE` or more (2^-10) it is that high after at most 2^10 times five
-//!    [`EDGE_TOLERANCE`]s of the edge's length, 2^-8.6. So a hit that only the tolerance admits does not count within
-//!    [`START_ZONE`] of the triangle's extent from the ray's start. What that costs: a ray that starts there, within a
-//!    closed mesh, and goes through an edge within rounding, may leave it on a device that contracts. Without
-//!    contraction two triangles compute their common edge alike, and one of them is hit without tolerance.
-//! 3. **Box.** The ray hits the triangle at a mean P of the corners' p, and t = P.z / direction.z. A box around the
-//!    triangle has min <= corner, and rounding is monotonic: the computed min - origin is at most P. By its reciprocal,
-//!    its product, and S, the plane's computed t is at most 6 v beyond t; that of the far plane at most 6 v before it.
-//!    The comparison allows 32 v, [`BOX_ENTRY_SCALE`]. `t_max` may be the rounded t of an earlier hit: see point 5.
+//!    off x*: at most v (|S.x p.z| + |x|) of that corner. The corners reach both sides of the ray within twice that,
+//!    [`CORNER_TOLERANCE`]. An edge function is a difference of two products: at most v (2 Z (|S.x| Y + |S.y| X) + 4 X
+//!    Y) off for its corners and 4 v X Y for its own three operations. Twice the sum is the tolerance,
+//!    [`EDGE_TOLERANCE`]; the factor two covers terms in v^2. X, Y and Z may be those of the edge's two corners alone:
+//!    a tighter tolerance, so that a ray that leaves past a convex edge misses what lies behind it. It is that of both
+//!    triangles at an edge, as is that of a corner: at a ridge a ray hits both or neither. A ray that starts on the
+//!    surface beside a convex edge would still hit the far side of it: while it has not gone far, it is no higher above
+//!    the edge than the tolerance. Off a plane of slope `MIN_COSINE` or more (2^-10) it is that high after at most 2^10
+//!    times five [`EDGE_TOLERANCE`]s of the edge's length, 2^-8.6. So a hit that only the tolerance admits does not
+//!    count within [`START_ZONE`] of the triangle's extent from the ray's start. What that costs: a ray that starts
+//!    there, within a closed mesh, and goes through an edge within rounding, may leave it on a device that contracts.
+//!    Without contraction two triangles compute their common edge alike, and one of them is hit without tolerance.
+//! 3. **Box.** Whatever triangle is accepted, its boxes are, so that a hit depends on nothing but ray and triangle: not
+//!    on the structure, nor on what else is traced. The ray passes the triangle at a mean P of the corners' p, and t =
+//!    P.z / direction.z. A box around the triangle has min <= corner, and rounding is monotonic: the computed min -
+//!    origin is at most P. By its reciprocal, its product, and S, the plane's computed t is at most 6 v beyond t; that
+//!    of the far plane at most 6 v before it. Where the tolerance admits it, P may be beside the ray: between the two
+//!    corners of the edge, which are on both sides of the ray, along x by up to 4 v (|S.x| Z + 2 X), along y alike. Z
+//!    is at most |P.z| and the box's longest side a, X at most 2 a; so that is 4 v |S.x P.z|, which is again 4 v of t,
+//!    and 20 v a. Boxes are padded by 32 v a (`accel/padding.rs`), those of parts of a triangle by 32 v of its longest
+//!    side (`accel/build/triangle_clip.rs`). The comparison allows 32 v of t, [`BOX_ENTRY_SCALE`]. `t_max` may be the
+//!    rounded t of an earlier hit: see point 5.
 //! 4. **Zeros.** Where a direction is shorter along one axis than 2^-64 of the longest, it counts as that long, so
 //!    nothing is ever infinite. The ray is then misplaced by less than 2^-64 of its way, which the padding of the boxes
 //!    exceeds.
@@ -41,10 +47,12 @@
 //!    so on. An edge has one rounding, so n is at most 4 v N off, n.q at most 8 v N.|q|, n.d at most 7 v N.|d|, and t
 //!    at most v (8 N.|q| + 7 |t| N.|d|) / |n.d| + 3 v |t|, up to terms in v^2. Where a triangle lies along two axes, n
 //!    has one component, whose error is in both products alike: t is at most 6 v |t| off, at whatever angle. In any
-//!    case t is clamped to the range of the vertices' t. Where a ray passes outside an edge, within the tolerance, t is
-//!    interpolated along the edge: its plane may be crossed far from the triangle, and at a ridge the plane of the face
-//!    behind before that of the face in front. A plane behind the ray's start stays there, so that a ray that leaves a
-//!    surface does not meet its coplanar neighbours.
+//!    case t is clamped to the range of the vertices' t, but not by more than this bound: a plane that is crossed
+//!    beyond the vertices is not moved to them, as a ray that starts beside a huge triangle and leaves would hit it.
+//!    Where a ray passes outside an edge, within the tolerance, t is interpolated along the edge: its plane may be
+//!    crossed far from the triangle, and at a ridge the plane of the face behind before that of the face in front. A
+//!    plane behind the ray's start stays there, so that a ray that leaves a surface does not meet its coplanar
+//!    neighbours.
 
 use glam::Vec3;
 
@@ -59,6 +67,8 @@ pub(crate) const MIN_RELATIVE_COMPONENT: f32 = 1.0 / (1_u128 << 64) as f32;
 pub(crate) const MIN_COMPONENT: f32 = 1.0 / (1_u128 << 120) as f32;
 /// 2^63: a quotient of magnitude up to its square, 2^126, is taken to be finite.
 pub(crate) const SQRT_MAX_QUOTIENT: f32 = (1_u64 << 63) as f32;
+/// Relative error of an operation that rounds either way: v.
+pub(crate) const ROUNDING: f32 = 1.0 / (1 << 23) as f32;
 /// See point 2.
 pub(crate) const CORNER_TOLERANCE: f32 = 1.0 / (1 << 22) as f32;
 /// See point 2.
@@ -86,6 +96,8 @@ pub(crate) struct ShearRay {
     pub scale: f32,
     /// Factor from t to units of sheared x and y.
     pub t_to_sheared: f32,
+    /// The magnitudes of the slopes in `x_row` and `y_row`, before they are scaled: at most 1.
+    pub slopes: [f32; 2],
 }
 
 /// Intersection of a ray and a triangle: t, barycentric weights u of v1 and v of v2, facing.
@@ -156,36 +168,41 @@ pub(crate) fn shear_ray(origin: Vec3, direction: Vec3, extent: f32) -> ShearRay 
     let scale = reciprocal_power_of_two(extent);
     // Find the dominant axis of the direction, and the rows of the shear along it.
     let length = direction.abs();
-    let (major_component, mut x_row, mut y_row, t_row);
+    let (major_component, mut slopes, mut x_row, mut y_row, t_row);
     if length.x >= length.y && length.x >= length.z {
         major_component = direction.x;
-        x_row = Vec3::new(-direction.y / major_component, 1.0, 0.0);
-        y_row = Vec3::new(-direction.z / major_component, 0.0, 1.0);
+        slopes = [-direction.y / major_component, -direction.z / major_component];
+        x_row = Vec3::new(slopes[0], 1.0, 0.0);
+        y_row = Vec3::new(slopes[1], 0.0, 1.0);
         t_row = Vec3::new(1.0 / major_component, 0.0, 0.0);
     } else if length.y >= length.z {
         major_component = direction.y;
-        x_row = Vec3::new(0.0, -direction.z / major_component, 1.0);
-        y_row = Vec3::new(1.0, -direction.x / major_component, 0.0);
+        slopes = [-direction.z / major_component, -direction.x / major_component];
+        x_row = Vec3::new(0.0, slopes[0], 1.0);
+        y_row = Vec3::new(1.0, slopes[1], 0.0);
         t_row = Vec3::new(0.0, 1.0 / major_component, 0.0);
     } else {
         major_component = direction.z;
-        x_row = Vec3::new(1.0, 0.0, -direction.x / major_component);
-        y_row = Vec3::new(0.0, 1.0, -direction.y / major_component);
+        slopes = [-direction.x / major_component, -direction.y / major_component];
+        x_row = Vec3::new(1.0, 0.0, slopes[0]);
+        y_row = Vec3::new(0.0, 1.0, slopes[1]);
         t_row = Vec3::new(0.0, 0.0, 1.0 / major_component);
     }
     // Swap x and y for negative directions to preserve the winding.
     if major_component < 0.0 {
         (x_row, y_row) = (y_row, x_row);
+        slopes.reverse();
     }
     // Apply it to x and y; t keeps the unit of the ray.
     let t_to_sheared = major_component.abs() * scale;
-    ShearRay { origin, direction, x_row: x_row * scale, y_row: y_row * scale, t_row, scale, t_to_sheared }
+    let slopes = slopes.map(f32::abs);
+    ShearRay { origin, direction, x_row: x_row * scale, y_row: y_row * scale, t_row, scale, t_to_sheared, slopes }
 }
 
 /// Intersects the ray's whole line with a triangle; the caller checks [`t_min`, `t_max`]. The point is on the triangle,
-/// tolerance or not: the weights are not negative, and t lies between those of the vertices. A triangle whose
-/// projection along the ray has no area is missed, and so is one beside the ray's start that the tolerance
-/// alone admits (point 2).
+/// tolerance or not: the weights are not negative, and t lies between those of the vertices, unless it is farther
+/// beyond them than its rounding explains. A triangle whose projection along the ray has no area is missed, and so is
+/// one beside the ray's start that the tolerance alone admits (point 2).
 #[inline]
 pub(crate) fn intersect_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<TriangleHit> {
     // Shear the vertices.
@@ -198,9 +215,11 @@ pub(crate) fn intersect_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<
 
     // Depths in units of sheared x and y: the tolerances grow with them.
     let (x_abs, y_abs, z) = (x.abs(), y.abs(), t.abs() * ray.t_to_sheared);
+    let [x_slope, y_slope] = ray.slopes;
 
     // 1. Reject the ray if it misses the projected triangle's bounds by more than the rounding error of each corner.
-    let (x_tolerance, y_tolerance) = ((z + x_abs) * CORNER_TOLERANCE, (z + y_abs) * CORNER_TOLERANCE);
+    let x_tolerance = (z * x_slope + x_abs) * CORNER_TOLERANCE;
+    let y_tolerance = (z * y_slope + y_abs) * CORNER_TOLERANCE;
     if min_component(x - x_tolerance) > 0.0
         || max_component(x + x_tolerance) < 0.0
         || min_component(y - y_tolerance) > 0.0
@@ -217,7 +236,8 @@ pub(crate) fn intersect_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<
         weights = -weights;
     }
     let (x_extent, y_extent) = (max_component(x_abs), max_component(y_abs));
-    let tolerance = EDGE_TOLERANCE * (max_component(z) * (x_extent + y_extent) + 4.0 * (x_extent * y_extent));
+    let depth_share = max_component(z) * (y_extent * x_slope + x_extent * y_slope);
+    let tolerance = EDGE_TOLERANCE * (depth_share + 4.0 * (x_extent * y_extent));
     if min_component(weights) < -tolerance {
         return None;
     }
@@ -225,7 +245,7 @@ pub(crate) fn intersect_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<
     let is_outside = min_component(weights) < 0.0;
     if is_outside {
         let (x, y, z) = (greater_of_others(x_abs), greater_of_others(y_abs), greater_of_others(z));
-        let tolerances = EDGE_TOLERANCE * (z * (x + y) + 4.0 * (x * y));
+        let tolerances = EDGE_TOLERANCE * (z * (y * x_slope + x * y_slope) + 4.0 * (x * y));
         if min_component(weights + tolerances) < 0.0 {
             return None;
         }
@@ -239,11 +259,18 @@ pub(crate) fn intersect_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<
         return None;
     }
     weights *= 1.0 / area;
-    // Outside an edge, t is that of the point on the edge: the plane may be crossed far from it. But a plane behind the
-    // ray's start stays there.
+    let clamped_to_vertices = |t_hit: f32| min(max(t_hit, min_component(t)), max_component(t));
     let t_plane = plane_t(ray, triangle, t, weights);
-    let t_hit = if is_outside && t_plane >= 0.0 { dot3(weights, t) } else { t_plane };
-    let t_hit = min(max(t_hit, min_component(t)), max_component(t));
+    let mut t_hit = clamped_to_vertices(t_plane);
+    if is_outside && t_plane >= 0.0 {
+        // Outside an edge, t is that of the point on the edge: the plane may be crossed far from it. But a plane behind
+        // the ray's start stays there.
+        t_hit = clamped_to_vertices(dot3(weights, t));
+    } else if t_hit != t_plane {
+        // Where the plane is crossed beyond the vertices, rounding explains as much as its bound.
+        let bound = plane_t_bound(ray, triangle, t_plane, weights);
+        t_hit = min(max(t_hit, t_plane - bound), t_plane + bound);
+    }
     // Near the ray's start the tolerance admits nothing (point 2).
     let start_zone = START_ZONE * (max_component(z) + (x_extent + y_extent));
     if is_outside && t_hit.abs() * ray.t_to_sheared <= start_zone {
@@ -274,6 +301,23 @@ pub(crate) fn plane_t(ray: &ShearRay, triangle: &Triangle, t: Vec3, weights: Vec
         return corner_t;
     }
     height / slope
+}
+
+/// The bound of the rounding error of [`plane_t`] (point 5), where that is not the t of a vertex.
+pub(crate) fn plane_t_bound(ray: &ShearRay, triangle: &Triangle, t_plane: f32, weights: Vec3) -> f32 {
+    let [v0, v1, v2] = [triangle.v0, triangle.v1, triangle.v2].map(Vec3::from_array);
+    let (a, b) = ((v1 - v0) * ray.scale, (v2 - v0) * ray.scale);
+    let plus = Vec3::new(a.y * b.z, a.z * b.x, a.x * b.y);
+    let minus = Vec3::new(a.z * b.y, a.x * b.z, a.y * b.x);
+    let (normal, products) = (plus - minus, plus.abs() + minus.abs());
+    // The vertex with the greatest weight, and the direction, by their magnitudes.
+    let mut corner = if weights.y >= weights.z { v1 } else { v2 };
+    if weights.x >= weights.y && weights.x >= weights.z {
+        corner = v0;
+    }
+    let (corner, direction) = ((corner - ray.origin).abs(), ray.direction.abs());
+    let rounded = 8.0 * dot3(products, corner) + 7.0 * (t_plane.abs() * dot3(products, direction));
+    (rounded / dot3(normal, ray.direction).abs() + 3.0 * t_plane.abs()) * ROUNDING
 }
 
 #[cfg(test)]
@@ -386,23 +430,65 @@ mod tests {
             let extent = corners.iter().fold(max_component(origin.abs()), |m, v| max(m, max_component(v.abs())));
             let ray = shear_ray(origin, direction * scale, extent);
             let Some(hit) = intersect_triangle(&ray, &triangle(corners)) else { continue };
-            // Check that the hit lies between the vertices.
+            // The hit lies between the vertices, or is at the plane's t, beyond them.
             let depths = Vec3::from_array(corners.map(|v| dot3(ray.t_row, v - origin)));
             let (least, greatest) = (min_component(depths), max_component(depths));
-            assert!(hit.t >= least && hit.t <= greatest, "{corners:?}: {} beside {depths}", hit.t);
             // Check its distance against the exact one, unless the ray passes outside an edge.
             let weights = [1.0 - hit.u - hit.v, hit.u, hit.v];
             if weights.iter().any(|&weight| weight <= 1e-6) {
                 continue;
             }
             let Some((t, bound)) = plane_t_and_bound(&ray, corners, weights) else { continue };
-            let error = (f64::from(hit.t) - t.clamp(f64::from(least), f64::from(greatest))).abs();
-            assert!(error <= bound, "{corners:?} from {origin} along {direction}: {} for {t}, bound {bound:e}", hit.t);
+            // It is clamped to the range of the vertices, but by no more than the bound.
+            let clamped = t.clamp(f64::from(least), f64::from(greatest)).clamp(t - bound, t + bound);
+            let error = (f64::from(hit.t) - clamped).abs();
+            assert!(
+                error <= 2.0 * bound,
+                "{corners:?} from {origin} along {direction}: {} for {t}, bound {bound:e}",
+                hit.t
+            );
             tested += 1;
             close += usize::from(bound < 1e-6 * t.abs());
         }
         println!("{tested} hits, {close} of them with a bound of 1e-6");
         assert!(tested > 200_000 && close > 100_000, "{tested}, {close}");
+    }
+
+    #[test]
+    fn rays_that_leave_beside_a_huge_triangle_do_not_meet_it() {
+        let mut random = Random(fastrand::Rng::with_seed(4));
+        let (mut beside, mut behind) = (0, 0);
+        for i in 0..200_000 {
+            // A triangle in the plane y = 0 or a tilted one, and a point of it, at a corner, an edge or inside.
+            let side = [1.0, 1e3, 1e6][i % 3];
+            let tilt = Vec3::new(random.next() - 0.5, 1.0, random.next() - 0.5) * (i / 3 % 2) as f32;
+            let corners = [(); 3].map(|()| {
+                let v = random.in_cube() * side;
+                v.with_y(-(v.x * tilt.x + v.z * tilt.z))
+            });
+            let (edge_1, edge_2) = (corners[1] - corners[0], corners[2] - corners[0]);
+            let normal = cross3(edge_1, edge_2);
+            // Of a needle the rounding of its corners leaves no plane.
+            if normal.length() < 0.1 * side * side {
+                continue;
+            }
+            let normal = normal.normalize() * normal.y.signum();
+            let (u, v) = ([0.0, 0.0, 1e-3][i / 6 % 3] * random.next(), [0.0, 0.5][i / 18 % 2] * random.next());
+            let at = corners[0] + edge_1 * u + edge_2 * v;
+            // A ray that starts above it by more than the rounding of its plane, and rises.
+            let height = side * 10f32.powf(random.next() * 4.0 - 6.0);
+            let along = random.in_cube().reject_from(normal).normalize_or(normal.any_orthonormal_vector());
+            let origin = at + normal * height + random.in_cube().reject_from(normal) * height;
+            let direction = along + normal * 10f32.powf(-3.0 * random.next());
+            match intersect_triangle(&shear_ray(origin, direction, side), &triangle(corners)) {
+                Some(hit) => {
+                    assert!(hit.t < 0.0, "{corners:?} from {origin} along {direction}, {height} above: {}", hit.t);
+                    behind += 1;
+                }
+                None => beside += 1,
+            }
+        }
+        assert!(beside > 20_000 && behind > 20_000, "{beside}, {behind}");
     }
 
     #[test]
