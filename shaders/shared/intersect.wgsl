@@ -4,7 +4,6 @@ const BOX_ENTRY_SCALE: f32 = 1.0 - 0x1p-18;
 const MIN_RELATIVE_COMPONENT: f32 = 0x1p-64;
 const MIN_COMPONENT: f32 = 0x1p-120;
 const SQRT_MAX_QUOTIENT: f32 = 0x1p63;
-const ROUNDING: f32 = 0x1p-23;
 const CORNER_TOLERANCE: f32 = 0x1p-22;
 const EDGE_TOLERANCE: f32 = 0x1p-21;
 const START_ZONE: f32 = 0x1p-6;
@@ -170,19 +169,13 @@ fn intersect_triangle(ray: ShearRay, triangle: Triangle) -> TriangleHit {
         return TriangleHit();
     }
     weights = weights * (1.0 / area);
-    let least_t = min_component(t);
-    let greatest_t = max_component(t);
-    let at_plane = plane_t(ray, triangle, t, weights);
-    var t_hit = min(max(at_plane, least_t), greatest_t);
-    if is_outside && at_plane >= 0.0 {
-        // Outside an edge, t is that of the point on the edge: the plane may be crossed far from it. But a plane behind
-        // the ray's start stays there.
-        t_hit = min(max(dot3(weights, t), least_t), greatest_t);
-    } else if t_hit != at_plane {
-        // Where the plane is crossed beyond the vertices, rounding explains as much as its bound.
-        let bound = plane_t_bound(ray, triangle, at_plane, weights);
-        t_hit = min(max(t_hit, at_plane - bound), at_plane + bound);
+    // Outside an edge, t is that of the point on the edge: the plane may be crossed far from it. But a plane behind the
+    // ray's start stays there.
+    var t_hit = plane_t(ray, triangle, t, weights);
+    if is_outside && t_hit >= 0.0 {
+        t_hit = dot3(weights, t);
     }
+    t_hit = min(max(t_hit, min_component(t)), max_component(t));
     // Near the ray's start the tolerance admits nothing (point 2).
     let start_zone = START_ZONE * (max_component(z) + (x_extent + y_extent));
     if is_outside && abs(t_hit) * ray.t_to_sheared <= start_zone {
@@ -213,23 +206,4 @@ fn plane_t(ray: ShearRay, triangle: Triangle, t: vec3<f32>, weights: vec3<f32>) 
         return corner_t;
     }
     return height / slope;
-}
-
-// The bound of the rounding error of `plane_t` (point 5), where that is not the t of a vertex.
-fn plane_t_bound(ray: ShearRay, triangle: Triangle, at_plane: f32, weights: vec3<f32>) -> f32 {
-    let a = (triangle.v1 - triangle.v0) * ray.scale;
-    let b = (triangle.v2 - triangle.v0) * ray.scale;
-    let plus = vec3<f32>(a.y * b.z, a.z * b.x, a.x * b.y);
-    let minus = vec3<f32>(a.z * b.y, a.x * b.z, a.y * b.x);
-    let normal = plus - minus;
-    let products = abs(plus) + abs(minus);
-    // The vertex with the greatest weight, and the direction, by their magnitudes.
-    var corner = triangle.v2;
-    if weights.x >= weights.y && weights.x >= weights.z {
-        corner = triangle.v0;
-    } else if weights.y >= weights.z {
-        corner = triangle.v1;
-    }
-    let rounded = 8.0 * dot3(products, abs(corner - ray.origin)) + 7.0 * (abs(at_plane) * dot3(products, abs(ray.direction)));
-    return (rounded / abs(dot3(normal, ray.direction)) + 3.0 * abs(at_plane)) * ROUNDING;
 }

@@ -71,8 +71,9 @@ fn grazing(mesh: &Mesh, angle: f32, random: &mut Random, count: usize) -> Vec<Ra
     (0..count).map(ray).collect()
 }
 
-/// By the angle at which rays graze, how many of 20,000 may differ where the triangles lie in the plane of two axes, and
-/// where they do not: there the rounding of t grows with the angle's inverse, until hits are found in another order.
+/// By the angle at which rays graze, how many of 20,000 may differ where the triangles lie in the plane of two axes,
+/// and where they do not: there the rounding of t grows with the angle's inverse, until hits are found in another
+/// order.
 const ANGLES: [(f32, [usize; 2]); 6] =
     [(1.0, [0, 0]), (1e-1, [0, 0]), (1e-2, [0, 0]), (1e-3, [0, 0]), (1e-4, [0, 40]), (1e-6, [0, 400])];
 

@@ -9,7 +9,7 @@ use fearless_simd::{Simd, f32x4, f32x16};
 use super::shear::SHEAR_AXES;
 use super::simd::{abs, map_axes, max_component, min_component};
 use crate::device::layout::Triangle;
-use crate::trace::kernel::{CORNER_TOLERANCE, EDGE_TOLERANCE, ROUNDING, SQRT_MAX_QUOTIENT, START_ZONE};
+use crate::trace::kernel::{CORNER_TOLERANCE, EDGE_TOLERANCE, SQRT_MAX_QUOTIENT, START_ZONE};
 
 /// Hits, one ray-triangle pair per lane: distances and barycentric weights of the second and third vertex.
 pub(super) struct TriangleHits<V> {
@@ -117,20 +117,12 @@ pub(super) fn intersect_triangles<S: Simd, V: SimdFloat<S, Element = f32>>(
     );
 
     // 4. Compute the distance along the plane or, outside an edge, along the edge; clamp it to the vertices' t.
-    let plane = plane();
-    let t_plane = plane_distances(&plane, t, w);
-    let clamped_to_vertices = |t_hit: V| t_hit.max(min_component(t)).min(max_component(t));
-    let mut t_hit = clamped_to_vertices(t_plane);
-    // Beyond the vertices by as much as rounding explains.
-    let is_beyond = !t_hit.simd_eq(t_plane);
-    if is_beyond.to_bitmask() & hit_lanes != 0 {
-        let bound = plane_distance_bounds(&plane, t_plane, w);
-        t_hit = is_beyond.select(t_hit.max(t_plane - bound).min(t_plane + bound), t_hit);
-    }
+    let mut t_hit = plane_distances(&plane(), t, w);
     if is_outside.to_bitmask() & hit_lanes != 0 {
-        let is_ahead = is_outside & t_plane.simd_ge(zero);
-        t_hit = is_ahead.select(clamped_to_vertices((w[0] * t[0] + w[1] * t[1]) + w[2] * t[2]), t_hit);
+        let is_ahead = is_outside & t_hit.simd_ge(zero);
+        t_hit = is_ahead.select((w[0] * t[0] + w[1] * t[1]) + w[2] * t[2], t_hit);
     }
+    let t_hit = t_hit.max(min_component(t)).min(max_component(t));
     // Near the ray's start the tolerance admits nothing.
     let start_zone = (max_component(z) + (x_extent + y_extent)) * START_ZONE;
     let at_start = is_outside & (t_hit.abs() * t_to_sheared).simd_le(start_zone);
@@ -177,31 +169,6 @@ fn plane_distances<S: Simd, V: SimdFloat<S, Element = f32>>(
     let slope = dot(normal, operands.direction);
     let is_in_plane = (slope.abs() * SQRT_MAX_QUOTIENT).simd_le(height.abs() * (1.0 / SQRT_MAX_QUOTIENT));
     is_in_plane.select(is_first.select(t[0], is_second.select(t[1], t[2])), height / slope)
-}
-
-/// The bounds of the rounding errors of [`plane_distances`]: the lane-wise form of the kernel's `plane_t_bound`.
-#[inline(always)]
-fn plane_distance_bounds<S: Simd, V: SimdFloat<S, Element = f32>>(
-    operands: &PlaneOperands<V>,
-    t_plane: V,
-    weights: [V; 3],
-) -> V {
-    let [v0, v1, v2] = operands.corners;
-    let edge = |v: [V; 3], axis: usize| (v[axis] - v0[axis]) * operands.scale;
-    let a = [edge(v1, 0), edge(v1, 1), edge(v1, 2)];
-    let b = [edge(v2, 0), edge(v2, 1), edge(v2, 2)];
-    let plus = [a[1] * b[2], a[2] * b[0], a[0] * b[1]];
-    let minus = [a[2] * b[1], a[0] * b[2], a[1] * b[0]];
-    let normal = [plus[0] - minus[0], plus[1] - minus[1], plus[2] - minus[2]];
-    let [plus, minus] = [abs(plus), abs(minus)];
-    let products = [plus[0] + minus[0], plus[1] + minus[1], plus[2] + minus[2]];
-    // The vertex with the greatest weight, and the direction, by their magnitudes.
-    let is_first = weights[0].simd_ge(weights[1]) & weights[0].simd_ge(weights[2]);
-    let is_second = weights[1].simd_ge(weights[2]);
-    let corner = |axis: usize| is_first.select(v0[axis], is_second.select(v1[axis], v2[axis])) - operands.origin[axis];
-    let corner = abs([corner(0), corner(1), corner(2)]);
-    let rounded = dot(products, corner) * 8.0 + t_plane.abs() * dot(products, abs(operands.direction)) * 7.0;
-    (rounded / dot(normal, operands.direction).abs() + t_plane.abs() * 3.0) * ROUNDING
 }
 
 #[inline(always)]

@@ -47,12 +47,10 @@
 //!    so on. An edge has one rounding, so n is at most 4 v N off, n.q at most 8 v N.|q|, n.d at most 7 v N.|d|, and t
 //!    at most v (8 N.|q| + 7 |t| N.|d|) / |n.d| + 3 v |t|, up to terms in v^2. Where a triangle lies along two axes, n
 //!    has one component, whose error is in both products alike: t is at most 6 v |t| off, at whatever angle. In any
-//!    case t is clamped to the range of the vertices' t, but not by more than this bound: a plane that is crossed
-//!    beyond the vertices is not moved to them, as a ray that starts beside a huge triangle and leaves would hit it.
-//!    Where a ray passes outside an edge, within the tolerance, t is interpolated along the edge: its plane may be
-//!    crossed far from the triangle, and at a ridge the plane of the face behind before that of the face in front. A
-//!    plane behind the ray's start stays there, so that a ray that leaves a surface does not meet its coplanar
-//!    neighbours.
+//!    case t is clamped to the range of the vertices' t. Where a ray passes outside an edge, within the tolerance, t is
+//!    interpolated along the edge: its plane may be crossed far from the triangle, and at a ridge the plane of the face
+//!    behind before that of the face in front. A plane behind the ray's start stays there, so that a ray that leaves a
+//!    surface does not meet its coplanar neighbours.
 
 use glam::Vec3;
 
@@ -67,8 +65,6 @@ pub(crate) const MIN_RELATIVE_COMPONENT: f32 = 1.0 / (1_u128 << 64) as f32;
 pub(crate) const MIN_COMPONENT: f32 = 1.0 / (1_u128 << 120) as f32;
 /// 2^63: a quotient of magnitude up to its square, 2^126, is taken to be finite.
 pub(crate) const SQRT_MAX_QUOTIENT: f32 = (1_u64 << 63) as f32;
-/// Relative error of an operation that rounds either way: v.
-pub(crate) const ROUNDING: f32 = 1.0 / (1 << 23) as f32;
 /// See point 2.
 pub(crate) const CORNER_TOLERANCE: f32 = 1.0 / (1 << 22) as f32;
 /// See point 2.
@@ -200,9 +196,9 @@ pub(crate) fn shear_ray(origin: Vec3, direction: Vec3, extent: f32) -> ShearRay 
 }
 
 /// Intersects the ray's whole line with a triangle; the caller checks [`t_min`, `t_max`]. The point is on the triangle,
-/// tolerance or not: the weights are not negative, and t lies between those of the vertices, unless it is farther
-/// beyond them than its rounding explains. A triangle whose projection along the ray has no area is missed, and so is
-/// one beside the ray's start that the tolerance alone admits (point 2).
+/// tolerance or not: the weights are not negative, and t lies between those of the vertices. A triangle whose
+/// projection along the ray has no area is missed, and so is one beside the ray's start that the tolerance
+/// alone admits (point 2).
 #[inline]
 pub(crate) fn intersect_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<TriangleHit> {
     // Shear the vertices.
@@ -259,18 +255,11 @@ pub(crate) fn intersect_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<
         return None;
     }
     weights *= 1.0 / area;
-    let clamped_to_vertices = |t_hit: f32| min(max(t_hit, min_component(t)), max_component(t));
+    // Outside an edge, t is that of the point on the edge: the plane may be crossed far from it. But a plane behind the
+    // ray's start stays there.
     let t_plane = plane_t(ray, triangle, t, weights);
-    let mut t_hit = clamped_to_vertices(t_plane);
-    if is_outside && t_plane >= 0.0 {
-        // Outside an edge, t is that of the point on the edge: the plane may be crossed far from it. But a plane behind
-        // the ray's start stays there.
-        t_hit = clamped_to_vertices(dot3(weights, t));
-    } else if t_hit != t_plane {
-        // Where the plane is crossed beyond the vertices, rounding explains as much as its bound.
-        let bound = plane_t_bound(ray, triangle, t_plane, weights);
-        t_hit = min(max(t_hit, t_plane - bound), t_plane + bound);
-    }
+    let t_hit = if is_outside && t_plane >= 0.0 { dot3(weights, t) } else { t_plane };
+    let t_hit = min(max(t_hit, min_component(t)), max_component(t));
     // Near the ray's start the tolerance admits nothing (point 2).
     let start_zone = START_ZONE * (max_component(z) + (x_extent + y_extent));
     if is_outside && t_hit.abs() * ray.t_to_sheared <= start_zone {
@@ -301,23 +290,6 @@ pub(crate) fn plane_t(ray: &ShearRay, triangle: &Triangle, t: Vec3, weights: Vec
         return corner_t;
     }
     height / slope
-}
-
-/// The bound of the rounding error of [`plane_t`] (point 5), where that is not the t of a vertex.
-pub(crate) fn plane_t_bound(ray: &ShearRay, triangle: &Triangle, t_plane: f32, weights: Vec3) -> f32 {
-    let [v0, v1, v2] = [triangle.v0, triangle.v1, triangle.v2].map(Vec3::from_array);
-    let (a, b) = ((v1 - v0) * ray.scale, (v2 - v0) * ray.scale);
-    let plus = Vec3::new(a.y * b.z, a.z * b.x, a.x * b.y);
-    let minus = Vec3::new(a.z * b.y, a.x * b.z, a.y * b.x);
-    let (normal, products) = (plus - minus, plus.abs() + minus.abs());
-    // The vertex with the greatest weight, and the direction, by their magnitudes.
-    let mut corner = if weights.y >= weights.z { v1 } else { v2 };
-    if weights.x >= weights.y && weights.x >= weights.z {
-        corner = v0;
-    }
-    let (corner, direction) = ((corner - ray.origin).abs(), ray.direction.abs());
-    let rounded = 8.0 * dot3(products, corner) + 7.0 * (t_plane.abs() * dot3(products, direction));
-    (rounded / dot3(normal, ray.direction).abs() + 3.0 * t_plane.abs()) * ROUNDING
 }
 
 #[cfg(test)]
@@ -430,9 +402,10 @@ mod tests {
             let extent = corners.iter().fold(max_component(origin.abs()), |m, v| max(m, max_component(v.abs())));
             let ray = shear_ray(origin, direction * scale, extent);
             let Some(hit) = intersect_triangle(&ray, &triangle(corners)) else { continue };
-            // The hit lies between the vertices, or is at the plane's t, beyond them.
+            // Check that the hit lies between the vertices.
             let depths = Vec3::from_array(corners.map(|v| dot3(ray.t_row, v - origin)));
             let (least, greatest) = (min_component(depths), max_component(depths));
+            assert!(hit.t >= least && hit.t <= greatest, "{corners:?}: {} beside {depths}", hit.t);
             // Check its distance against the exact one, unless the ray passes outside an edge.
             let weights = [1.0 - hit.u - hit.v, hit.u, hit.v];
             if weights.iter().any(|&weight| weight <= 1e-6) {
@@ -489,6 +462,27 @@ mod tests {
             }
         }
         assert!(beside > 20_000 && behind > 20_000, "{beside}, {behind}");
+    }
+
+    #[test]
+    fn rays_that_rise_over_a_triangle_do_not_meet_it() {
+        let mut random = Random(fastrand::Rng::with_seed(6));
+        let mut behind = 0;
+        for i in 0..200_000 {
+            // A triangle in the plane y = 0, and a ray that starts a little above it and passes over it, still rising.
+            let size = [1e-6, 1.0, 1e6][i % 3];
+            let corners = [(); 3].map(|()| random.in_cube().with_y(0.0) * size);
+            let target = (corners[0] + corners[1] * random.next() + corners[2] * random.next()) / 2.0;
+            let height = size * 10f32.powf(-4.0 - 6.0 * random.next());
+            let origin = (random.in_cube() * 3.0 * size).with_y(height);
+            let rise = size * 10f32.powf(-3.0 - 6.0 * random.next());
+            let direction = (target - origin).with_y(rise);
+            let hit = intersect_triangle(&shear_ray(origin, direction, 3.0 * size), &triangle(corners));
+            let t = hit.map_or(f32::NEG_INFINITY, |hit| hit.t);
+            assert!(t < 0.0, "{corners:?} from {origin} along {direction}: {t}");
+            behind += usize::from(t.is_finite());
+        }
+        assert!(behind > 50, "{behind}");
     }
 
     #[test]

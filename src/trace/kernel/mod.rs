@@ -25,8 +25,8 @@ mod wide;
 
 pub(crate) use camera::camera_ray;
 pub(crate) use intersect::{
-    BOX_ENTRY_SCALE, CORNER_TOLERANCE, EDGE_TOLERANCE, MIN_COMPONENT, MIN_RELATIVE_COMPONENT, ROUNDING,
-    SQRT_MAX_QUOTIENT, START_ZONE, SlabRay, TriangleHit, intersects_box, max_component, shear_ray, slab_ray,
+    BOX_ENTRY_SCALE, CORNER_TOLERANCE, EDGE_TOLERANCE, MIN_COMPONENT, MIN_RELATIVE_COMPONENT, SQRT_MAX_QUOTIENT,
+    START_ZONE, SlabRay, TriangleHit, intersects_box, max_component, shear_ray, slab_ray,
 };
 pub(crate) use light::LightSample;
 #[cfg(test)]
@@ -124,7 +124,7 @@ mod tests {
         }
         let kernel = named! {
             intersect { BOX_ENTRY_SCALE, MIN_RELATIVE_COMPONENT, MIN_COMPONENT, SQRT_MAX_QUOTIENT }
-            intersect { ROUNDING, CORNER_TOLERANCE, EDGE_TOLERANCE, START_ZONE }
+            intersect { CORNER_TOLERANCE, EDGE_TOLERANCE, START_ZONE }
             texture { SRGB_LINEAR_END, SRGB_LINEAR_SLOPE, SRGB_SCALE, SRGB_OFFSET }
             texture { SRGB_FIT_6, SRGB_FIT_5, SRGB_FIT_4, SRGB_FIT_3, SRGB_FIT_2, SRGB_FIT_1, SRGB_FIT_0 }
             surface { MIN_COSINE }
