@@ -3,6 +3,7 @@
 #![allow(clippy::panic, clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod coincident;
+mod degenerate;
 mod hits;
 mod meshes;
 mod quality;
