@@ -22,6 +22,7 @@
 
 mod blas;
 mod build;
+mod degenerate;
 mod padding;
 mod stats;
 mod support;

@@ -14,6 +14,9 @@ use crate::{Error, Result};
 ///
 /// The streams are reference counted, so a clone is cheap and shares them. Every optional stream, where present, has
 /// one element per position. Triangles wind counter-clockwise seen from their front, as in glTF.
+///
+/// Degenerate triangles, whose corners lie exactly on one line, are valid: they keep their indices, but are not part of
+/// the surface. No ray hits them, and no query finds them.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Geometry {
     /// Vertex positions, local space, in the scene's unit of length. Finite.

@@ -27,7 +27,7 @@ pub struct Hit {
     /// The position of the point.
     pub position: DVec3,
     /// Unit geometric normal, pointing to the front side: the one from which the vertices are in counter-clockwise
-    /// order in local space. Zero for a degenerate triangle, which can be the nearest, but is never hit by a ray.
+    /// order in local space. Zero for a triangle so narrow that its normal is lost to rounding in f64.
     pub geometric_normal: DVec3,
     /// Unit normal interpolated between those of the vertices, turned to the side of the geometric normal; equal to
     /// that if the geometry has no normals. Normal maps are not applied.

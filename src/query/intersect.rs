@@ -10,6 +10,11 @@
 //! If the origin lies exactly on an edge, it is perturbed symbolically: moved by an infinitesimal amount in x and a yet
 //! smaller one in y (H. Edelsbrunner, E. P. Mücke, *Simulation of Simplicity*, 1990). Of two triangles that share the
 //! edge the ray then hits one if they lie on different sides of it, and both or none if they lie on the same side.
+//!
+//! All this is about edges that two triangles share as a whole. Where a vertex of one lies within an edge of the other
+//! (a T-junction), its projection is rounded to one side of the edge, and a ray that meets the edge to within that
+//! rounding, about 2^-52 of the distance, may hit both or none. Triangles without area, which fill such edges in some
+//! files, are in no structure.
 
 use glam::{DVec2, DVec3};
 

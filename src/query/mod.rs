@@ -38,9 +38,9 @@ use crate::math::{Aabb, Bounds};
 /// Queries on a compiled scene, in world space. It borrows the scene, so results are never out of date.
 ///
 /// Only visible geometry is found: that of nodes which are visible, selected by switches and levels of detail, with a
-/// mask that has a bit in common with that of the [queries](Self::with_ray_mask), and an invertible matrix. Ray queries
-/// apply the rules of camera rays (back-face culling, alpha masks); other queries treat all triangles as two-sided and
-/// solid.
+/// mask that has a bit in common with that of the [queries](Self::with_ray_mask), and an invertible matrix. Triangles
+/// without area are not found: [`Blas::build`](crate::accel::Blas::build) leaves them out. Ray queries apply the rules
+/// of camera rays (back-face culling, alpha masks); other queries treat all triangles as two-sided and solid.
 ///
 /// ```
 /// use ropewalk::glam::{DVec3, Vec3};

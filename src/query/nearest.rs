@@ -148,8 +148,8 @@ fn nearest_on(placement: &PlacedInstance<'_>, triangle: &Triangle, point: DVec3)
     let normal = (b - a).cross(c - a);
     let back_face = is_behind(local, placement.local_from_world.transform_point3(point));
 
-    // 2. Candidates: the projection onto the triangle's plane, and the nearest point of each edge (degenerate triangles
-    //    have only edges).
+    // 2. Candidates: the projection onto the triangle's plane, and the nearest point of each edge (a triangle whose
+    //    normal rounds to zero has only edges).
     let [of_b, of_c] =
         [normal.dot((c - a).cross(a)), normal.dot(a.cross(b - a))].map(|area| area / normal.length_squared());
     let inside = DVec3::new(1.0 - of_b - of_c, of_b, of_c);

@@ -4,6 +4,7 @@
 
 mod agreement;
 mod coincident;
+mod degenerate;
 mod hits;
 mod meshes;
 mod quality;

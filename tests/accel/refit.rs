@@ -126,6 +126,31 @@ fn triangles_that_come_and_go_are_noticed() {
     }
 }
 
+/// The same for triangles whose three corners come to lie on one line, or no longer do.
+#[test]
+fn triangles_that_lose_or_regain_their_area_are_noticed() {
+    let mesh = Mesh::displaced_icosphere(4);
+    // The corners of one triangle are moved to a line through the origin; another vertex moves, too.
+    let flattened = |triangle: usize, vertex: usize| {
+        let [a, b, c] = mesh.indices[triangle].map(|v| v as usize);
+        let mut positions = mesh.positions.clone();
+        (positions[b], positions[c]) = (2.0 * positions[a], 4.0 * positions[a]);
+        positions[vertex] *= 1.5;
+        Mesh { positions, indices: mesh.indices.clone() }
+    };
+    let last = mesh.indices.len() - 1;
+    let middle = mesh.indices[last / 2][0] as usize;
+    for quality in QUALITIES {
+        let mut round = build(&geometry(&mesh), quality);
+        assert!(!round.refit(&geometry(&flattened(0, middle))), "a triangle went");
+        let flat = build(&geometry(&flattened(0, middle)), quality);
+        assert_eq!(flat.triangles.len(), last);
+        assert!(flat.clone().refit(&geometry(&flattened(0, middle - 1))), "the same one is left out");
+        assert!(!flat.clone().refit(&geometry(&mesh)), "a triangle came");
+        assert!(!flat.clone().refit(&geometry(&flattened(last, middle))), "a triangle came, another one went");
+    }
+}
+
 #[test]
 fn rays_hit_what_they_hit_in_a_new_structure() {
     let mut random = Random::new(3);

@@ -10,6 +10,7 @@ use ropewalk::device::layout::{NONE, Node, PrimitiveRange};
 use ropewalk::graph::{BlasKind, Geometry, Quality};
 
 use super::meshes::{STRUCTURES, adversarial, beyond_arithmetic, concentric, geometry, grid, identical};
+use ropewalk_testkit::oracle::has_area;
 use ropewalk_testkit::{Mesh, Random};
 
 const PARAMS: [BlasBuildParams; 3] = [
@@ -18,14 +19,14 @@ const PARAMS: [BlasBuildParams; 3] = [
     BlasBuildParams::PAPER.with_max_leaf_size(15).with_triangle_cost(0.1),
 ];
 
-/// The triangles that a ray can hit: those with three corners, and of those that coincide the first.
+/// The triangles that a ray can hit: those with an area, and of those that coincide the first.
 fn hittable(mesh: &Mesh) -> Vec<u32> {
     let mut seen = HashSet::new();
     let is_hittable = |&i: &u32| {
         let [a, b, c] = mesh.triangle(i as usize);
         let bits = |corner: Vec3| (corner + 0.0).to_array().map(f32::to_bits);
         let turned = [[a, b, c], [b, c, a], [c, a, b]].map(|corners| corners.map(bits)).into_iter().min();
-        a != b && b != c && c != a && seen.insert(turned)
+        has_area([a, b, c]) && seen.insert(turned)
     };
     (0..mesh.indices.len() as u32).filter(is_hittable).collect()
 }

@@ -208,13 +208,21 @@ fn each_reason_is_told() {
     assert_eq!(written.first(), Some(&(0..3 * normals.len())));
     assert_eq!(shown.compiler.arrays().normals[0].to_bits(), turned[0].x.to_bits());
 
-    // Two corners become equal, and differ again: degenerate triangles require a rebuild.
+    // Two corners become equal, and differ again; three corners come to lie on one line, and leave it again:
+    // degenerate triangles require a rebuild.
+    let all = shown.compiler.arrays().triangles.len();
     let mut pinched = original.positions.to_vec();
     pinched[1] = pinched[0];
-    for positions in [pinched, original.positions.to_vec()] {
-        shown.scene.set_positions(key, positions, None).unwrap();
-        let report = shown.compile();
-        assert_eq!((report.blas_refitted, report.blas_builds.triangles_changed, report.blas_built), (0, 1, 1));
+    let mut flattened = original.positions.to_vec();
+    let [a, b, c] = original.indices[original.indices.len() / 2].map(|v| v as usize);
+    (flattened[b], flattened[c]) = (2.0 * flattened[a], 4.0 * flattened[a]);
+    for changed in [pinched, flattened] {
+        for (positions, count) in [(changed, all - 1), (original.positions.to_vec(), all)] {
+            shown.scene.set_positions(key, positions, None).unwrap();
+            let report = shown.compile();
+            assert_eq!((report.blas_refitted, report.blas_builds.triangles_changed, report.blas_built), (0, 1, 1));
+            assert_eq!(shown.compiler.arrays().triangles.len(), count);
+        }
     }
     // Other triangles require a rebuild.
     shown.scene.set_geometry(key, sphere(21)).unwrap();

@@ -1,7 +1,7 @@
 //! Random scenes: soups, closed and flat geometry under transforms of all kinds, some hidden, some masked, some
 //! singular.
 
-use glam::{DAffine3, DMat3, DQuat, DVec3, Vec4};
+use glam::{DAffine3, DMat3, DQuat, DVec3, Vec3, Vec4};
 use proptest::prelude::*;
 use proptest::test_runner::TestRunner;
 use ropewalk::compile::Compiler;
@@ -9,6 +9,7 @@ use ropewalk::graph::AlphaMode;
 use ropewalk::graph::{BlasKind, Hierarchy, NodePath, Quality};
 use ropewalk::{Core, Geometry, GeometryKey, Material, MaterialKey, Scene, Transform};
 
+use ropewalk_testkit::oracle::has_area;
 use ropewalk_testkit::{Mesh, Random};
 
 /// The parameters of a random scene.
@@ -171,7 +172,7 @@ pub struct Drawn {
     pub surface: Material,
     pub local_from_world: DAffine3,
     pub world_from_local: DAffine3,
-    /// With their indices in the geometry; those with equal corners are no triangles.
+    /// With their indices in the geometry; those without area are no triangles.
     pub triangles: Vec<(u32, [DVec3; 3])>,
 }
 
@@ -228,8 +229,9 @@ fn draw(scene: &Scene, hierarchy: &Hierarchy, entry: usize, origin: DVec3, mask:
         return None;
     }
     let stored = scene.geometry(geometry).unwrap();
-    let corners = stored.indices.iter().map(|t| t.map(|v| stored.positions[v as usize].as_dvec3()));
-    let triangles = (0..).zip(corners).filter(|(_, [a, b, c])| a != b && b != c && c != a).collect();
+    let corners = stored.indices.iter().map(|t| t.map(|v| stored.positions[v as usize]));
+    let with_area = (0..).zip(corners).filter(|&(_, corners)| has_area(corners));
+    let triangles = with_area.map(|(index, corners)| (index, corners.map(Vec3::as_dvec3))).collect();
     let surface = scene.material(material).unwrap().clone();
     Some(Drawn { path, geometry, material, surface, local_from_world, world_from_local, triangles })
 }

@@ -119,8 +119,8 @@ impl Blas {
     /// corner on. It would win at equal distance anyway, with one difference: light that passes is dimmed once by all
     /// of them. Triangles of opposite winding, of which a ray may cull one, are both kept.
     ///
-    /// Triangles with two equal corners are left out: no ray hits them. Other degenerate triangles (three distinct
-    /// collinear corners) stay in the leaves, and the triangle test rejects them.
+    /// Degenerate triangles, whose corners lie exactly on one line (two equal corners do, too), are left out: no ray
+    /// hits them, and no query finds them. Any other triangle is kept, however narrow.
     ///
     /// # Errors
     /// [`Error::InvalidGeometry`](crate::Error::InvalidGeometry) as [`Geometry::validate`] says. Geometry that a scene
@@ -186,11 +186,11 @@ impl Blas {
     /// Refits the structure to `geometry`, which must have the same triangles with other corner positions. Boxes are
     /// recomputed; the hierarchy stays. O(n) on all threads of the current rayon pool, about a fifth of a build's time.
     ///
-    /// Returns false if a rebuild is needed: a triangle became or ceased to be degenerate, one that was left out no
-    /// longer coincides with the one that stands for it, or the structure has duplicates ([`Quality::High`],
-    /// [`BlasKind::KdTree`]: their leaves hold clipped triangles, and unclipped ones would make its boxes worse than
-    /// those of a rebuild). Triangles that have come to coincide are all kept until the next build. The contents are
-    /// unspecified after a degenerate triangle, unchanged otherwise.
+    /// Returns false if a rebuild is needed: a triangle became or ceased to be [degenerate](Self::build), one that was
+    /// left out no longer coincides with the one that stands for it, or the structure has duplicates
+    /// ([`Quality::High`], [`BlasKind::KdTree`]: their leaves hold clipped triangles, and unclipped ones would make its
+    /// boxes worse than those of a rebuild). Triangles that have come to coincide are all kept until the next build.
+    /// The contents are unspecified after a degenerate triangle, unchanged otherwise.
     ///
     /// The structure gets worse the more the geometry deforms: compare [`stats`](Self::stats) with those after the
     /// build.

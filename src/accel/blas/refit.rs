@@ -7,6 +7,7 @@ use rayon::prelude::*;
 
 use super::refit_wide::refit_wide;
 use super::triangle_bounds::triangle_bounds;
+use crate::accel::degenerate::is_degenerate;
 use crate::accel::padding::pad_bounds;
 use crate::accel::stats::half_area;
 use crate::accel::tree::SimdAabb;
@@ -39,9 +40,9 @@ pub(crate) struct RefitReport {
 /// children's.
 ///
 /// `None` if the structure must be rebuilt, since its triangles are no longer the hittable ones of the geometry: some
-/// became, or ceased to be, degenerate (two equal corners). `merged` is how many triangles were left out because they
-/// coincide with others; callers must have checked that they still do, and must not pass a structure with duplicates.
-/// After `None` the arrays hold unspecified values.
+/// became, or ceased to be, degenerate. `merged` is how many triangles were left out because they coincide with others;
+/// callers must have checked that they still do, and must not pass a structure with duplicates. After `None` the arrays
+/// hold unspecified values.
 pub(crate) fn refit(
     nodes: &mut [Node],
     wide_nodes: &mut [WideNode],
@@ -112,12 +113,10 @@ pub(crate) fn refit(
     Some(refitted)
 }
 
-/// The number of triangles whose three corners differ; others are never hit.
+/// The number of triangles that are not degenerate; others are never hit.
 fn count_non_degenerate(geometry: &Geometry) -> usize {
-    let is_non_degenerate = |triangle: &&[u32; 3]| {
-        let [a, b, c] = triangle.map(|v| geometry.positions[v as usize]);
-        a != b && b != c && c != a
-    };
+    let is_non_degenerate =
+        |triangle: &&[u32; 3]| !is_degenerate(triangle.map(|vertex| geometry.positions[vertex as usize]));
     geometry.indices.par_chunks(1 << 13).map(|chunk| chunk.iter().filter(is_non_degenerate).count()).sum()
 }
 
@@ -188,7 +187,7 @@ struct RefittedSubtree {
 }
 
 impl RefitTask<'_> {
-    /// Refits the subtree; `None` if a triangle has two equal corners.
+    /// Refits the subtree; `None` if a triangle is degenerate.
     fn refit(&mut self, geometry: &Geometry, node_count: usize, triangle_cost: f32) -> Option<RefittedSubtree> {
         // 1. Update the triangles.
         let mut subtree =
@@ -216,13 +215,13 @@ impl RefitTask<'_> {
     /// Copies the corners of the triangles from `geometry`. Returns whether any of them changed; `None` as in
     /// [`refit`](Self::refit), or if a coordinate is not finite.
     fn update_triangles(&mut self, geometry: &Geometry) -> Option<bool> {
-        // For each triangle: load its corners, check that they differ and are finite, compare them with the old ones,
-        // store them.
+        // For each triangle: load its corners, check that they span an area and are finite, compare them with the old
+        // ones, store them.
         let (mut difference, mut is_non_degenerate, mut finiteness_probe) = (0, true, Vec3::ZERO);
         for triangle in &mut *self.triangles {
             let corners = geometry.indices.get(triangle.primitive as usize)?;
             let [a, b, c] = corners.map(|v| geometry.positions.get(v as usize).copied().unwrap_or(Vec3::NAN));
-            is_non_degenerate &= (a != b) & (b != c) & (c != a);
+            is_non_degenerate &= !is_degenerate([a, b, c]);
             // `x * 0` is NaN for an infinite or NaN coordinate, so the sum stays zero only if all are finite.
             finiteness_probe += (a + b * 0.0 + c * 0.0) * 0.0;
             let new = Triangle::new([a, b, c].map(|corner| corner.to_array()), triangle.primitive);

@@ -206,7 +206,7 @@ impl Hash for CoincidenceKey<'_> {
 
 #[cfg(test)]
 mod tests {
-    use glam::{Vec2, Vec4};
+    use glam::{IVec3, Vec2, Vec4};
 
     use super::*;
     use crate::accel::{Blas, BlasBuildParams};
@@ -311,7 +311,8 @@ mod tests {
             let mut expected = std::collections::BTreeMap::new();
             for (primitive, triangle) in geometry.indices.iter().enumerate() {
                 let corners = triangle.map(|v| geometry.positions[v as usize].to_array().map(|x| x as i32));
-                if corners[0] != corners[1] && corners[1] != corners[2] && corners[2] != corners[0] {
+                let [u, v] = [1, 2].map(|k| IVec3::from_array(corners[k]) - IVec3::from_array(corners[0]));
+                if u.cross(v) != IVec3::ZERO {
                     let turned = (0..3).map(|first| [0, 1, 2].map(|k| corners[(first + k) % 3])).min().unwrap();
                     expected.entry(turned).or_insert(primitive as u32);
                 }

@@ -21,6 +21,7 @@ use rayon::prelude::*;
 use self::coincident::CoincidentTriangles;
 use self::reinsertion::{ReinsertionParams, reinsert};
 use self::spatial_split::SpatialSplits;
+use super::degenerate::is_degenerate;
 use super::tree::{BuildTree, PrimitiveReference, ReferenceBounds, SahParams};
 use crate::graph::{BlasKind, Geometry, Quality};
 use crate::math::Aabb;
@@ -117,7 +118,7 @@ pub(super) fn triangle_references(geometry: &Geometry) -> Result<(Vec<PrimitiveR
 /// What a pass over a range of triangles found.
 struct MeasuredTriangles {
     extent: ReferenceBounds,
-    /// Indices of triangles with two equal corners, ascending; their references are zero and removed afterwards.
+    /// Indices of degenerate triangles, ascending; their references are zero and removed afterwards.
     degenerate_triangles: Vec<usize>,
     /// Whether all indices are in range and all corners finite.
     valid: bool,
@@ -144,7 +145,7 @@ fn measure_triangles(geometry: &Geometry, first: usize, references: &mut [Primit
         let [a, b, c] =
             geometry.indices[primitive].map(|v| geometry.positions.get(v as usize).copied().unwrap_or(Vec3::NAN));
         measured.valid &= a.is_finite() && b.is_finite() && c.is_finite();
-        if a == b || b == c || c == a {
+        if is_degenerate([a, b, c]) {
             measured.degenerate_triangles.push(primitive);
         } else {
             *reference =

@@ -1,6 +1,8 @@
-//! The closest hit by brute force in f64, with bounds of the errors that a kernel may make in f32.
+//! The closest hit by brute force in f64, with bounds of the errors that a kernel may make in f32; and which triangles
+//! have an area.
 
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DVec3, Vec3};
+use robust::{Coord, orient2d};
 use ropewalk::device::DeviceArrays;
 use ropewalk::device::layout::{HitRecord, InstanceFlags, InstanceRecord, NONE, RayRecord, Triangle};
 
@@ -181,6 +183,15 @@ fn is_back_facing_in_world(instance: &InstanceRecord, triangle: &Triangle, ray: 
     let [a, b, c] = [triangle.v0, triangle.v1, triangle.v2].map(|v| linear * vector(v));
     let faces_away = (b - a).cross(c - a).dot(vector(ray.direction)) > 0.0;
     faces_away != (linear.determinant() < 0.0)
+}
+
+/// Whether the corners do not lie on one line: a projection along an axis has an area. Exact.
+pub fn has_area(corners: [Vec3; 3]) -> bool {
+    (0..3).any(|axis| {
+        let project = |v: Vec3| Coord { x: f64::from(v[(axis + 1) % 3]), y: f64::from(v[(axis + 2) % 3]) };
+        let [a, b, c] = corners.map(project);
+        orient2d(a, b, c) != 0.0
+    })
 }
 
 fn vector(v: [f32; 3]) -> DVec3 {
