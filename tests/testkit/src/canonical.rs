@@ -190,7 +190,14 @@ fn fault(arrays: &DeviceArrays) -> Option<String> {
                 (points.into_iter().fold(DVec3::MAX, DVec3::min), max)
             });
             let (min, max) = (Vec3::from(leaf.min).as_dvec3(), Vec3::from(leaf.max).as_dvec3());
-            let slack = DVec3::splat(1e-4 * min.abs().max(max.abs()).max_element());
+            // By what rounding a ray's way to local space moves a corner of the box, as `compile` widens it: much where
+            // the matrix is nearly singular, as that of a flattened instance is.
+            let magnitudes = |rows: [[f32; 4]; 3], v: DVec3, w: f64| {
+                DVec3::from(rows.map(|row| Vec4::from(row).abs().as_dvec4().dot(v.extend(w))))
+            };
+            let corner = min.abs().max(max.abs());
+            let moved = magnitudes(instance.world_from_local, magnitudes(instance.local_from_world, corner, 1.0), 0.0);
+            let slack = DVec3::splat(1e-4 * corner.max_element()) + moved * 1e-6;
             let is_around = min.cmple(least.0 + slack) & max.cmpge(least.1 - slack);
             let is_tight = min.cmpge(most.0 - slack) & max.cmple(most.1 + slack);
             (!(is_around & is_tight).all())
