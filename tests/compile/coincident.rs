@@ -1,5 +1,7 @@
 //! Instances that coincide: one stands for all in the TLAS, and queries still find each.
 
+#![expect(clippy::unwrap_used, reason = "a panic in a test is a failure")]
+
 use std::collections::{BTreeMap, BTreeSet};
 
 use glam::{DVec3, Vec3};
