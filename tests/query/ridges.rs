@@ -48,9 +48,9 @@ fn rays_from_outside_hit_what_faces_them() {
                 .flatten()
                 .fold((0, 0), |(found, backs), hit| (found + 1, backs + usize::from(hit.back_face)));
             println!("{executor}, {name}: {backs} of {found} hits are back faces");
-            // A ray rounded to f32 may pass beside the edge, where the tolerance accepts the face behind and the box of
-            // the face in front is missed.
-            assert!(found > RAYS / 2 && backs * 400 < RAYS, "{executor}, {name}: {backs} of {found}");
+            // Rays that pass an edge of the outline within rounding: most miss in f64, or graze the face in front by
+            // less than 1e-3, and in f32 the tolerance accepts the face behind alone.
+            assert!(found > RAYS / 2 && backs * 1000 < RAYS, "{executor}, {name}: {backs} of {found}");
             // In f64 there is no such ray.
             let queries = renderer.queries(&mut scene).unwrap();
             for ray in &rays {
