@@ -90,7 +90,8 @@ fn render_pixel(x: u32, y: u32) -> Pixel {
         let hit = next_hit(RayRecord(ray.origin, t_min_of(start), ray.direction, ray.turn.t), start, params.ray_mask);
         if hit.instance == NONE && turns(ray) {
             // Nothing up to the turn: go on from there.
-            tree.pending[tree.pending_count] = new_ray(ray.turn.origin, ray.turn.direction, ray.bounces, ray.throughput);
+            tree.pending[tree.pending_count] =
+                new_ray(ray.turn.origin, ray.turn.direction, ray.bounces, ray.throughput);
             tree.pending_count += 1u;
         } else if hit.instance == NONE {
             // Miss: the sky.

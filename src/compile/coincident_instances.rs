@@ -33,14 +33,9 @@ pub(super) struct Promoted {
 }
 
 impl CoincidentInstances {
-    /// Whether an instance is in a group whose box is another one.
-    pub(super) fn has_other_box(&self, slot: u32, bounds: &Aabb) -> bool {
-        self.group_of_slot.get(&slot).is_some_and(|&group| self.groups[group].bounds != *bounds)
-    }
-
-    /// Whether an instance is in a group.
-    pub(super) fn contains(&self, slot: u32) -> bool {
-        self.group_of_slot.contains_key(&slot)
+    /// The box of the group that an instance is in, if it is in one.
+    pub(super) fn group_bounds(&self, slot: u32) -> Option<Aabb> {
+        self.group_of_slot.get(&slot).map(|&group| self.groups[group].bounds)
     }
 
     /// The instances of a slot's group; only the slot itself if it is in none. Ascending.
@@ -169,7 +164,7 @@ mod tests {
         // One that is left out leaves; then the one that stands for all; then one of the last two.
         assert_eq!(coincident.remove(3), None);
         assert_eq!(coincident.remove(1), Some(Promoted { slot: 5, bounds: all[1] }));
-        assert_eq!((coincident.contains(5), coincident.contains(4)), (false, true));
+        assert_eq!((coincident.group_bounds(5), coincident.group_bounds(4)), (None, Some(all[0])));
         assert_eq!(coincident.remove(4), None);
         assert_eq!(coincident.left_out_count(), 0);
     }

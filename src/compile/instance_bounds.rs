@@ -23,12 +23,13 @@ impl InstanceBounds {
     /// before. New slots between the last one and this get empty boxes.
     pub(super) fn set(&mut self, slot: u32, bounds: Aabb, record_changed: bool) {
         // 1. An instance that coincides with others no longer does so if it has changed.
-        if record_changed || self.coincident.has_other_box(slot, &bounds) {
+        if let Some(group_bounds) = self.coincident.group_bounds(slot) {
+            if !record_changed && group_bounds == bounds {
+                return;
+            }
             if let Some(Promoted { slot, bounds }) = self.coincident.remove(slot) {
                 self.set_box(slot, bounds);
             }
-        } else if self.coincident.contains(slot) {
-            return;
         }
         // 2. Set the box.
         self.set_box(slot, bounds);

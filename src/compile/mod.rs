@@ -14,8 +14,8 @@
 //! | `coincident_instances` | groups of instances of which one stands for all in the TLAS |
 //! | `light_table` | the visible lights |
 //!
-//! Some tables take others as an argument, and `instance_bounds` holds the groups of `coincident_instances`:
-//! `instance_record` computes an instance's record from several of them, and `pack` converts single values.
+//! No table holds another but `instance_bounds`, which has the groups of `coincident_instances`. Some take others as an
+//! argument: `instance_record` computes an instance's record from several of them. `pack` converts single values.
 
 mod buffer_allocator;
 mod changes;

@@ -400,16 +400,9 @@ impl Planner<'_, '_> {
         if !self.has_directions(node, format!("camera {camera}"))? {
             return Ok(());
         }
-        let identity = CoreIdentity::Camera(camera);
-        // Nodes with the same camera share its core; a camera of unknown type is left out, and one that is broken.
-        let core = match self.core_indices.get(&identity) {
-            Some(&core) => core,
-            None => {
-                let value = camera::convert(self.document, camera, &mut self.warnings);
-                let core = self.whole("camera", value)?.map(|value| PlannedCore::Camera(value, camera));
-                self.add_or_leave_out(identity, core)?
-            }
-        };
+        let core = self.shared_core(CoreIdentity::Camera(camera), "camera", |document, warnings| {
+            Ok(camera::convert(document, camera, warnings)?.map(|value| PlannedCore::Camera(value, camera)))
+        })?;
         let Some(core) = core else { return Ok(()) };
         let name = self.document.cameras[camera].as_ref().and_then(|camera| camera.name.as_deref()).unwrap_or_default();
         self.add_node(node, Some(planned_node), name, NodeContent::Core(core)).map(drop)
@@ -419,27 +412,30 @@ impl Planner<'_, '_> {
         if !self.has_directions(node, format!("light {light}"))? {
             return Ok(());
         }
-        let identity = CoreIdentity::Light(light);
-        // Nodes with the same light share its core; a light of unknown type is left out, and one that is broken.
-        let core = match self.core_indices.get(&identity) {
-            Some(&core) => core,
-            None => {
-                let value = light::convert(self.document, light, &mut self.warnings);
-                let core = self.whole("light", value)?.map(|value| PlannedCore::Light(value, light));
-                self.add_or_leave_out(identity, core)?
-            }
-        };
+        let core = self.shared_core(CoreIdentity::Light(light), "light", |document, warnings| {
+            Ok(light::convert(document, light, warnings)?.map(|value| PlannedCore::Light(value, light)))
+        })?;
         let Some(core) = core else { return Ok(()) };
         let name = self.document.lights[light].as_ref().and_then(|light| light.name.as_deref()).unwrap_or_default();
         self.add_node(node, Some(planned_node), name, NodeContent::Core(core)).map(drop)
     }
 
-    /// The camera or light, or `None` with a warning if it is broken.
-    fn whole<T>(&mut self, what: &str, value: Result<Option<T>>) -> Result<Option<T>> {
-        value.or_else(|error| {
+    /// The core of a camera or light, which all nodes that refer to it share. `None` for one of an unknown type, and,
+    /// with a warning that names `what` it is, for one that is broken.
+    fn shared_core(
+        &mut self,
+        identity: CoreIdentity,
+        what: &str,
+        convert: impl FnOnce(&Document, &mut Warnings) -> Result<Option<PlannedCore>>,
+    ) -> Result<Option<usize>> {
+        if let Some(&core) = self.core_indices.get(&identity) {
+            return Ok(core);
+        }
+        let core = convert(self.document, &mut self.warnings).or_else(|error| {
             self.warnings.leave_out(&self.document.value, what, error)?;
             Ok(None)
-        })
+        })?;
+        self.add_or_leave_out(identity, core)
     }
 
     /// Adds a core to the plan, which nodes can share; returns its index in `cores`.
