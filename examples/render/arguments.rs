@@ -29,9 +29,14 @@ pub(crate) struct Arguments {
     #[arg(long, value_enum, default_value_t)]
     pub(crate) device: Device,
     /// Reflections and refractions that a ray may have
-    #[arg(long, value_name = "N", default_value = "3",
-          value_parser = clap::value_parser!(u32).range(0..=i64::from(View::MAX_DEPTH)))]
+    #[arg(long, value_name = "N", default_value = "3")]
     pub(crate) depth: u32,
+    /// Paths end where they contribute no more than this share of their light to a pixel
+    #[arg(long, value_name = "SHARE", default_value_t = View::DEFAULT_MIN_THROUGHPUT)]
+    pub(crate) min_throughput: f32,
+    /// The camera sees nothing nearer than this, in world units
+    #[arg(long, value_name = "DISTANCE", default_value = "0")]
+    pub(crate) near: f32,
     /// Rays that a pixel may take; one that needs more shows the nearest opaque surface behind them
     #[arg(long, value_name = "N", default_value = "1024", value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) max_rays: u32,

@@ -38,6 +38,7 @@ impl LoadedScene {
         view.sky = sky;
         view.max_depth = arguments.depth;
         view.max_rays = arguments.max_rays;
+        (view.min_throughput, view.near) = (arguments.min_throughput, arguments.near);
         // Only EXR files can hold depth, normals and ids.
         view.aovs = arguments.output.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("exr"));
         add_light_if_none(&mut scene, &view).map_err(|error| error.to_string())?;

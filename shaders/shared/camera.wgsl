@@ -6,7 +6,7 @@ fn camera_ray(x: u32, y: u32) -> RayRecord {
     let ndc_y = 1.0 - (f32(y) + 0.5) / f32(params.height) * 2.0;
     let in_plane = params.right * ndc_x + params.up * ndc_y;
     if params.orthographic != 0u {
-        return RayRecord(params.eye + in_plane, 0.0, params.forward, F32_MAX);
+        return RayRecord(params.eye + in_plane, params.near, params.forward, F32_MAX);
     }
-    return RayRecord(params.eye, 0.0, normalize3(params.forward + in_plane), F32_MAX);
+    return RayRecord(params.eye, params.near, normalize3(params.forward + in_plane), F32_MAX);
 }

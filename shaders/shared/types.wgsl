@@ -131,6 +131,10 @@ struct FrameParams {
     first_row: u32,
     sky_up: vec3<f32>,
     max_rays: u32,
+    near: f32,
+    min_throughput: f32,
+    _pad0: u32,
+    _pad1: u32,
 }
 
 struct RayRecord {

@@ -1,15 +1,14 @@
 // One pixel: T. Whitted's recursion (1980) as a loop over a stack of pending rays. Twin of src/trace/kernel/whitted.rs,
 // which lists the approximations. Its methods of RayTree are parts of render_pixel here.
 
-// Greatest number of reflections and refractions of a ray, whatever params.max_depth says.
-const MAX_DEPTH: u32 = 8u;
-// Rays of less throughput see the sky instead of the scene. For radiance up to 1 that cannot change an 8-bit pixel, as
-// half the smallest sRGB step is 0.5 / 255 / 12.92 = 1.24 * 2^-13; brighter radiance can.
-const MIN_THROUGHPUT: f32 = 1.220703125e-4; // 2^-13
-// Each level of depth leaves at most one pending ray for each of these needs: one behind a blended surface, and the
-// first pushed of the refracted and the reflected ray (with reflection alone that ray is traced next). One more is the
-// ray to be traced next.
-const MAX_PENDING: u32 = 1u + MAX_DEPTH * (u32(NEEDS_REFRACTION) + u32(NEEDS_BLEND));
+// The most pending rays of a pixel: 1, 15 or 19 where at most one, two or three rays leave a surface. Why that is
+// enough at any depth is in whitted.rs.
+const MAX_PENDING: u32 = 1u
+    + 14u * u32((NEEDS_REFRACTION && NEEDS_REFLECTION) || (NEEDS_BLEND && NEEDS_REFLECTION))
+    + 4u * u32(NEEDS_BLEND && NEEDS_REFRACTION && NEEDS_REFLECTION);
+// A camera is on a surface that is nearer to it than this many times the bound of rounding by which secondary rays are
+// offset: once for the surface as it is drawn, once for where the scene has it.
+const ON_SURFACE: f32 = 2.0;
 
 struct Pixel {
     // Linear radiance, and 1 (the sky is part of the image) plus the unlit_share.
@@ -76,6 +75,8 @@ fn render_pixel(x: u32, y: u32) -> Pixel {
     var pixel = Pixel(vec4<f32>(0.0), vec3<f32>(0.0), F32_MAX, vec4<u32>(NONE, 1u, NONE, NONE), false);
     let primary = camera_ray(x, y);
     var tree: RayTree;
+    // The least distance of a hit of the primary ray: it grows while that leaves surfaces on which the camera is.
+    var near = primary.t_min;
     // Push the primary ray.
     tree.pending[0] = new_ray(primary.origin, primary.direction, 0u, vec3<f32>(1.0));
     tree.pending_count = 1u;
@@ -87,7 +88,9 @@ fn render_pixel(x: u32, y: u32) -> Pixel {
         var start = ray.start;
         start.only_opaque = tree.is_limited;
         // Trace it.
-        let hit = next_hit(RayRecord(ray.origin, t_min_of(start), ray.direction, ray.turn.t), start, params.ray_mask);
+        let is_primary = pixel.distance == F32_MAX;
+        let t_min = max(t_min_of(start), select(0.0, near, is_primary));
+        let hit = next_hit(RayRecord(ray.origin, t_min, ray.direction, ray.turn.t), start, params.ray_mask);
         if hit.instance == NONE && turns(ray) {
             // Nothing up to the turn: go on from there.
             tree.pending[tree.pending_count] =
@@ -99,7 +102,13 @@ fn render_pixel(x: u32, y: u32) -> Pixel {
         } else {
             // Hit: shade, and push secondary rays.
             let surface = surface_at(hit, view_direction(ray));
-            if traced == 0u {
+            if is_primary && is_at_camera(hit.t, ray.direction, surface) {
+                // Leave a surface on which the camera is.
+                near = just_behind(hit.t);
+                tree.pending_count += 1u;
+                continue;
+            }
+            if is_primary {
                 pixel.normal = surface.normal;
                 pixel.distance = hit.t;
                 pixel.ids = vec4<u32>(instances[hit.instance].node_key, hit.primitive, hit.instance);
@@ -110,6 +119,18 @@ fn render_pixel(x: u32, y: u32) -> Pixel {
     pixel.color = vec4<f32>(tree.color, 1.0 + unlit_share(tree.color, tree.unlit));
     pixel.is_limited = tree.is_limited;
     return pixel;
+}
+
+// Whether the camera is on the surface that its ray hits at `t`: nearer than the rounding of positions, and the hit is
+// where the camera is, not where a plane that it nearly lies in is far away.
+fn is_at_camera(t: f32, direction: vec3<f32>, surface: Surface) -> bool {
+    let cosine = max(abs(dot3(direction, surface.geometric_normal)), MIN_COSINE);
+    return t * cosine <= surface.ray_offset * ON_SURFACE;
+}
+
+// The next greater number; for 0 the least normal one.
+fn just_behind(t: f32) -> f32 {
+    return max(bitcast<f32>(bitcast<u32>(t) + 1u), F32_MIN_NORMAL);
 }
 
 // The share of a pixel's radiance that came from unlit surfaces, 0 to 1, by the sums of components: tone mapping leaves
@@ -125,10 +146,10 @@ fn component_sum(color: vec3<f32>) -> f32 {
     return (color.x + color.y) + color.z;
 }
 
-// Adds the surface's emitted and reflected radiance and pushes its secondary rays. The ray behind a blended surface is
-// pushed first, so it is traced last, and no other ray of this surface is pending then (see MAX_PENDING).
+// Adds the surface's emitted and reflected radiance and pushes its secondary rays.
 fn shade(tree: ptr<function, RayTree>, ray: PendingRay, hit: HitRecord, surface: Surface) {
     let direction = view_direction(ray);
+    let first = (*tree).pending_count;
     var behind = ray;
     // Only where something is seen behind the surface does the ray go on.
     if (NEEDS_BLEND && (surface.flags & MATERIAL_BLEND) != 0u) || (NEEDS_REFRACTION && surface.transmission > 0.0) {
@@ -139,7 +160,7 @@ fn shade(tree: ptr<function, RayTree>, ray: PendingRay, hit: HitRecord, surface:
     if NEEDS_BLEND && (surface.flags & MATERIAL_BLEND) != 0u {
         let alpha = surface.base_color.w;
         behind.throughput = throughput * (1.0 - alpha);
-        push_ray(tree, behind);
+        push_ray(tree, first, behind);
         throughput *= alpha;
     }
     if (surface.flags & MATERIAL_UNLIT) != 0u {
@@ -172,25 +193,34 @@ fn shade(tree: ptr<function, RayTree>, ray: PendingRay, hit: HitRecord, surface:
         }
         behind.bounces = ray.bounces + 1u;
         behind.throughput = throughput * lobes.specular_transmission;
-        push_ray(tree, behind);
+        push_ray(tree, first, behind);
     }
     if NEEDS_REFLECTION && sharp > 0.0 {
         let origin = offset_ray_origin(surface, reflected_direction);
         let reflected = throughput * (lobes.specular_reflection * sharp);
-        push_ray(tree, new_ray(origin, reflected_direction, ray.bounces + 1u, reflected));
+        push_ray(tree, first, new_ray(origin, reflected_direction, ray.bounces + 1u, reflected));
     }
 }
 
-// Pushes a ray; beyond the depth limit, below MIN_THROUGHPUT, or if the pixel has used up its rays, adds sky radiance
-// instead.
-fn push_ray(tree: ptr<function, RayTree>, ray: PendingRay) {
-    let is_deep = ray.bounces > min(params.max_depth, MAX_DEPTH);
-    let is_last = (*tree).is_limited || (*tree).pending_count == MAX_PENDING;
-    if is_deep || is_last || max_component(ray.throughput) < MIN_THROUGHPUT {
+// Pushes a ray, below the rays of less throughput that were pushed since there were `first` (see whitted.rs,
+// MAX_PENDING). Too deep, of too little throughput, or if the pixel has used up its rays or their room, adds sky
+// radiance instead.
+fn push_ray(tree: ptr<function, RayTree>, first: u32, ray: PendingRay) {
+    let is_cut_off = ray.bounces > params.max_depth || max_component(ray.throughput) <= params.min_throughput;
+    (*tree).is_limited = (*tree).is_limited || (!is_cut_off && (*tree).pending_count == MAX_PENDING);
+    if is_cut_off || (*tree).is_limited {
         (*tree).color += ray.throughput * sky_radiance(view_direction(ray));
         return;
     }
-    (*tree).pending[(*tree).pending_count] = ray;
+    var place = (*tree).pending_count;
+    if MAX_PENDING > 1u {
+        let throughput = component_sum(ray.throughput);
+        while place > first && component_sum((*tree).pending[place - 1u].throughput) < throughput {
+            (*tree).pending[place] = (*tree).pending[place - 1u];
+            place -= 1u;
+        }
+    }
+    (*tree).pending[place] = ray;
     (*tree).pending_count += 1u;
 }
 

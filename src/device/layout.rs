@@ -476,7 +476,7 @@ pub const LIGHT_SPOT: u32 = 1;
 /// [`LightRecord::kind`]: infinitely far away.
 pub const LIGHT_DIRECTIONAL: u32 = 2;
 
-/// Per-frame parameters: the uniform buffer of a dispatch. Positions are relative to the render origin. 128 bytes.
+/// Per-frame parameters: the uniform buffer of a dispatch. Positions are relative to the render origin. 144 bytes.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct FrameParams {
@@ -514,6 +514,11 @@ pub struct FrameParams {
     pub sky_up: [f32; 3],
     /// The most rays of a pixel, shadow rays not counted: see [`View::max_rays`](crate::View::max_rays).
     pub max_rays: u32,
+    /// Camera rays start at this distance: see [`View::near`](crate::View::near).
+    pub near: f32,
+    /// Rays of no more throughput see the sky: see [`View::min_throughput`](crate::View::min_throughput).
+    pub min_throughput: f32,
+    pub(crate) _pad: [u32; 2],
 }
 
 /// A ray of a batch query, in world space relative to the render origin. 32 bytes.

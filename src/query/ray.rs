@@ -9,7 +9,7 @@ use super::intersect::{TraversalRay, TriangleIntersection};
 use super::{PlacedInstance, Queries, require};
 use crate::Result;
 use crate::device::layout::{self, NONE, Triangle};
-use crate::trace::kernel::{KernelScene, closest_hit, is_culled, is_cut_out};
+use crate::trace::kernel::{KernelScene, is_culled, is_cut_out, primary_hit};
 
 /// A ray in world space.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -101,10 +101,10 @@ impl Queries<'_> {
         Ok(all.iter().filter_map(|found| self.hit(found)).collect())
     }
 
-    /// Closest hit by the f32 kernel of a ray relative to the render origin, so that picking agrees with the rendered
-    /// pixel.
-    pub(crate) fn closest_hit_of_kernel(&self, ray: &layout::RayRecord) -> Option<Hit> {
-        let hit = closest_hit(&KernelScene::new(self.compiler.arrays()), ray, self.mask);
+    /// The hit that a pixel shows, by the f32 kernel and its primary ray, relative to the render origin: picking agrees
+    /// with the rendered pixel.
+    pub(crate) fn hit_of_pixel(&self, primary: &layout::RayRecord) -> Option<Hit> {
+        let hit = primary_hit(&mut &KernelScene::new(self.compiler.arrays()), primary, self.mask);
         self.hit_from_record(&hit, f64::from(hit.t))
     }
 

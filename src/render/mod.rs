@@ -230,7 +230,7 @@ impl Renderer {
         self.compiler.compile(scene, view.viewpoint())?;
         // Trace the same ray as a frame's kernel does for this pixel; it needs no lights.
         let ray = camera_ray(&view.frame_params(self.compiler.origin(), 0), x, y);
-        Ok(Queries::of_compiled_scene(&self.compiler, scene)?.with_ray_mask(view.ray_mask).closest_hit_of_kernel(&ray))
+        Ok(Queries::of_compiled_scene(&self.compiler, scene)?.with_ray_mask(view.ray_mask).hit_of_pixel(&ray))
     }
 
     /// Queries by ray, region and point, on the CPU. Compiles the scene first if it changed.

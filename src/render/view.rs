@@ -1,4 +1,4 @@
-//! A view of a scene: the pose and projection of a camera, the size of the image, path depth, sky and ray mask.
+//! A view of a scene: the pose and projection of a camera, the size of the image, where paths end, sky and ray mask.
 
 use std::ops::Range;
 
@@ -10,7 +10,7 @@ use crate::error::require;
 use crate::graph::{Camera, Core, CoreKind, NodeKey, Scene, Transform};
 use crate::math::Bounds;
 use crate::query::{HalfSpace, Region};
-use crate::{Error, Result, trace};
+use crate::{Error, Result};
 
 /// Camera, image and sky for [`Renderer::render`](super::Renderer::render).
 ///
@@ -32,8 +32,20 @@ pub struct View {
     pub width: u32,
     /// Height of the image in pixels.
     pub height: u32,
-    /// How many reflections and refractions a path may have, at most [`MAX_DEPTH`](Self::MAX_DEPTH).
+    /// How many reflections and refractions a path may have, any number; what is deeper sees the sky. 3 by default.
     pub max_depth: u32,
+    /// Paths end where they contribute no more than this share of their radiance to the pixel: they see the sky. 0 to
+    /// 1; 2^-13 by default ([`DEFAULT_MIN_THROUGHPUT`](Self::DEFAULT_MIN_THROUGHPUT)), which for radiance up to 1
+    /// cannot change an 8-bit pixel. More is faster and less accurate where mirrors and glass face each other. With
+    /// less, a pixel whose rays branch again and again may have more pending than there is room for, and then counts as
+    /// one that needs more than [`max_rays`](Self::max_rays); 0 follows a hall of mirrors to any depth.
+    pub min_throughput: f32,
+    /// The camera sees nothing nearer than this, along each ray, in world units; 0 by default.
+    ///
+    /// Whatever it is, a camera on a surface does not see that surface but what lies before and behind it: on a surface
+    /// is what is nearer to it than the rounding of positions there, by the bound that keeps secondary rays from
+    /// hitting where they start.
+    pub near: f32,
     /// The most rays of a pixel, at least 1; shadow rays are not counted. Each blended surface that a pixel is seen
     /// through takes one, each reflection one, each refraction two. A pixel that needs more sees, for each ray that is
     /// left, the nearest opaque surface instead: [`Frame::limited_pixels`](super::Frame::limited_pixels) counts these
@@ -48,8 +60,9 @@ pub struct View {
 }
 
 impl View {
-    /// The most reflections and refractions that a path may have.
-    pub const MAX_DEPTH: u32 = trace::MAX_DEPTH;
+    /// The default of [`min_throughput`](Self::min_throughput), 2^-13: half the smallest step of an 8-bit sRGB image
+    /// is 1.24 times that, in linear radiance.
+    pub const DEFAULT_MIN_THROUGHPUT: f32 = 1.0 / (1 << 13) as f32;
 
     /// A view from `eye` towards `target`, both in world space; `up` need not be perpendicular to the view direction.
     pub fn look_at(eye: DVec3, target: DVec3, up: DVec3, camera: Camera, width: u32, height: u32) -> Self {
@@ -59,6 +72,8 @@ impl View {
             width,
             height,
             max_depth: 3,
+            min_throughput: Self::DEFAULT_MIN_THROUGHPUT,
+            near: 0.0,
             max_rays: 1024,
             sky: Sky::default(),
             ray_mask: u32::MAX,
@@ -115,16 +130,18 @@ impl View {
     /// Checks every number that rendering depends on.
     ///
     /// # Errors
-    /// [`Error::OutOfRange`] names the value: a depth beyond [`MAX_DEPTH`](Self::MAX_DEPTH), a camera pose that is not
-    /// finite or flattens an axis (a camera node below a scale of zero), a projection out of range, a sky that is not
-    /// finite.
+    /// [`Error::OutOfRange`] names the value: no rays, a least throughput outside 0 to 1, a negative near distance, a
+    /// camera pose that is not finite or flattens an axis (a camera node below a scale of zero), a projection out of
+    /// range, a sky that is not finite.
     pub fn validate(&self) -> Result<()> {
         let pose = &self.world_from_view;
         let axes = [pose.matrix3.x_axis, pose.matrix3.y_axis, pose.matrix3.z_axis];
         let is_usable = pose.is_finite() && axes.iter().all(|axis| axis.try_normalize().is_some());
         let Sky { zenith, horizon, ground, up } = self.sky;
 
-        require(self.max_depth <= Self::MAX_DEPTH, "depth", &self.max_depth, "at most View::MAX_DEPTH")?;
+        require((0.0..=1.0).contains(&self.min_throughput), "min_throughput", &self.min_throughput, "0 to 1")?;
+        let is_distance = self.near >= 0.0 && self.near.is_finite();
+        require(is_distance, "near", &self.near, "finite and not negative")?;
         require(self.max_rays > 0, "max_rays", &self.max_rays, "at least 1")?;
         let columns = [pose.matrix3.x_axis, pose.matrix3.y_axis, pose.matrix3.z_axis, pose.translation];
         let columns = columns.map(|column| column.to_array());
@@ -227,6 +244,9 @@ impl View {
             first_row: 0,
             sky_up: self.sky.up.normalize_or(Vec3::Y).to_array(),
             max_rays: self.max_rays,
+            near: self.near,
+            min_throughput: self.min_throughput,
+            _pad: [0; 2],
         }
     }
 

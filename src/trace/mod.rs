@@ -13,7 +13,6 @@ mod traversal;
 
 pub use cpu::Cpu;
 pub use emulated::Emulated;
-pub(crate) use kernel::MAX_DEPTH;
 pub use recursive::Recursive;
 pub use traversal::{FrameCounts, Traversal, TraversalCounts};
 

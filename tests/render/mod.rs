@@ -1,5 +1,6 @@
 //! Frames of whole scenes.
 
+mod camera_on_surface;
 mod cancel;
 mod flat;
 mod framing;

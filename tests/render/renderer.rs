@@ -131,8 +131,14 @@ fn impossible_views_are_errors_and_harm_nothing() {
     let (mut scene, ..) = scene();
     let mut renderer = cpu();
     let good = view(DVec3::ZERO);
-    let deep = View { max_depth: View::MAX_DEPTH + 1, ..good.clone() };
-    assert!(matches!(renderer.render(&mut scene, &deep), Err(Error::OutOfRange { what: "depth", .. })));
+    for min_throughput in [-0.1, 1.1, f32::NAN] {
+        let found = renderer.render(&mut scene, &View { min_throughput, ..good.clone() });
+        assert!(matches!(found, Err(Error::OutOfRange { what: "min_throughput", .. })));
+    }
+    for near in [-0.1, f32::INFINITY, f32::NAN] {
+        let found = renderer.render(&mut scene, &View { near, ..good.clone() });
+        assert!(matches!(found, Err(Error::OutOfRange { what: "near", .. })));
+    }
     let mut nowhere = good.clone();
     nowhere.world_from_view.translation.x = f64::NAN;
     assert!(matches!(renderer.render(&mut scene, &nowhere), Err(Error::OutOfRange { .. })));

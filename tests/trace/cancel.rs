@@ -12,7 +12,8 @@ use ropewalk_testkit::{Mesh, Placed, arrays, tracers};
 
 /// A frame of a ball seen from z = 4, of more than one dispatch on a GPU.
 fn request([width, height]: [u32; 2]) -> FrameRequest {
-    let mut params = FrameParams { max_rays: 1024, ..FrameParams::zeroed() };
+    let mut params = FrameParams::zeroed();
+    params.max_rays = 1024;
     (params.width, params.height, params.ray_mask) = (width, height, 1);
     params.eye = [0.0, 0.0, 4.0];
     (params.right, params.up, params.forward) = ([0.5, 0.0, 0.0], [0.0, 0.5, 0.0], [0.0, 0.0, -1.0]);

@@ -180,7 +180,9 @@ fn rust_layouts() -> BTreeMap<String, Layout> {
             sky_ground,
             first_row,
             sky_up,
-            max_rays
+            max_rays,
+            near,
+            min_throughput
         }),
         layout_of!(RayRecord { origin, t_min, direction, t_max }),
         layout_of!(RayBatch { count, ray_mask, first }),

@@ -18,8 +18,7 @@ pub(crate) struct Arguments {
     #[arg(long, value_enum, default_value_t)]
     pub(crate) device: Device,
     /// Reflections and refractions that a ray may have
-    #[arg(long, value_name = "N", default_value = "3",
-          value_parser = clap::value_parser!(u32).range(0..=i64::from(View::MAX_DEPTH)))]
+    #[arg(long, value_name = "N", default_value = "3")]
     pub(crate) depth: u32,
     /// Rays along each side of a pixel, averaged, where nothing moves
     #[arg(long, value_name = "N", default_value = "2", value_parser = clap::value_parser!(u32).range(1..=3))]

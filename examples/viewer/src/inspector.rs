@@ -205,7 +205,7 @@ fn view(ui: &mut Ui, app: &mut App) {
         camera(ui, app);
         ui.end_row();
         ui.label("Depth");
-        ui.add(Slider::new(&mut app.settings.depth, 0..=View::MAX_DEPTH))
+        ui.add(Slider::new(&mut app.settings.depth, 0..=1000).logarithmic(true))
             .on_hover_text("Reflections and refractions that a ray may have");
         ui.end_row();
         ui.label("Rays a pixel");

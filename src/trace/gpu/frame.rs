@@ -379,7 +379,7 @@ mod tests {
         assert_eq!(rays(Needs::LIGHTS, 3, 9), 10);
         assert_eq!(rays(Needs::LIGHTS | Needs::REFLECTION, 3, 4), 4 * 5);
         assert_eq!(rays(mirrors, 3, 0), 2 * (1 + 2 + 4 + 8), "a refracted ray is traced twice");
-        assert_eq!(rays(mirrors | Needs::BLEND, 3, 0), 256 + 2 * 17, "the limit, and what is pending then");
+        assert_eq!(rays(mirrors | Needs::BLEND, 3, 0), 256 + 2 * 19, "the limit, and what is pending then");
 
         assert_eq!(band_rows(1024, 1), 256);
         assert_eq!(band_rows(1024, 32), 256);

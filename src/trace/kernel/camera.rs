@@ -15,5 +15,5 @@ pub(crate) fn camera_ray(params: &FrameParams, x: u32, y: u32) -> RayRecord {
     // Orthographic rays are parallel, perspective ones start at the eye.
     let (origin, direction) =
         if params.orthographic != 0 { (eye + in_plane, forward) } else { (eye, normalize3(forward + in_plane)) };
-    RayRecord { origin: origin.to_array(), t_min: 0.0, direction: direction.to_array(), t_max: f32::MAX }
+    RayRecord { origin: origin.to_array(), t_min: params.near, direction: direction.to_array(), t_max: f32::MAX }
 }

@@ -39,7 +39,7 @@ pub(crate) use traversal_state::{TraversalCounter, TraversalRay};
 pub(crate) use traverse::{RayQueries, any_hit, closest_hit, next_hit, run_query, transmittance};
 #[cfg(feature = "gpu")]
 pub(crate) use whitted::max_rays_per_pixel;
-pub(crate) use whitted::{MAX_DEPTH, Pixel, RayTree, SurfaceHit, active_lights, render_pixel};
+pub(crate) use whitted::{Pixel, RayTree, SurfaceHit, active_lights, primary_hit, render_pixel};
 pub(crate) use wide::grid_extent;
 
 use crate::device::DeviceArrays;
@@ -132,7 +132,7 @@ mod tests {
             sky { COSINE_INTEGRAL_6, COSINE_INTEGRAL_4, COSINE_INTEGRAL_2, COSINE_INTEGRAL_0 }
             brdf { SHARP_REFLECTION_ROUGHNESS, MIN_HIGHLIGHT_ROUGHNESS }
             wide { TLAS_STACK_SIZE, TLAS_LEAF_BIT, BLAS_STACK_SIZE, PENDING_CHILDREN_MASK, NO_ENTRY }
-            whitted { MAX_DEPTH, MIN_THROUGHPUT, MAX_PENDING }
+            whitted { ON_SURFACE, MAX_PENDING }
             query { TOUCH_STEP, MAX_GRAZING, T_BEFORE_SCALE, T_AFTER_SCALE, EDGE_WEIGHT }
         };
         let others = [

@@ -3,10 +3,10 @@
 //! its caller here, so that callers can trace the rays of many pixels together.
 //!
 //! What is approximate:
-//! - A ray too deep ([`FrameParams::max_depth`], at most [`MAX_DEPTH`]) or with throughput below [`MIN_THROUGHPUT`]
-//!   sees the sky instead of the scene. This keeps energy: under a uniform sky the image does not change.
-//! - After the first [`FrameParams::max_rays`] of a pixel, each pending ray sees the nearest opaque surface, and what
-//!   that reflects is the sky.
+//! - A ray too deep ([`FrameParams::max_depth`]) or with throughput below [`FrameParams::min_throughput`] sees the sky
+//!   instead of the scene. This keeps energy: under a uniform sky the image does not change.
+//! - After the first [`FrameParams::max_rays`] of a pixel, or where more than [`MAX_PENDING`] are pending, each pending
+//!   ray sees the nearest opaque surface, and what that reflects is the sky.
 //! - The sky's light is not shadowed: there is no ambient occlusion.
 //! - Nearly smooth surfaces reflect the scene sharply, rough ones a blurred sky; in between the two are mixed. Rough
 //!   glass transmits as sharply as smooth glass.
@@ -37,28 +37,30 @@ use super::traverse::RayQueries;
 use crate::device::Needs;
 use crate::device::layout::{FrameParams, HitRecord, LightRecord, MaterialFlags, NONE, RayRecord};
 
-/// Greatest number of reflections and refractions of a ray, whatever `max_depth` says:
-/// [`View::MAX_DEPTH`](crate::View::MAX_DEPTH).
-pub(crate) const MAX_DEPTH: u32 = 8;
-/// Rays of less throughput see the sky instead of the scene. For radiance up to 1 that cannot change an 8-bit pixel, as
-/// half the smallest sRGB step is 0.5 / 255 / 12.92 = 1.24 * 2^-13; brighter radiance can.
-pub(super) const MIN_THROUGHPUT: f32 = 1.0 / (1 << 13) as f32;
-/// Each level of depth leaves at most two pending rays: one behind a blended surface (`BLEND`), and the first pushed of
-/// the refracted and the reflected ray (`REFRACTION`; with reflection alone that ray is traced next). One more is the
-/// ray to be traced next.
+/// The most pending rays of a pixel, however deep its paths are. Of the rays that leave a surface the one of least
+/// throughput is traced first, by the sum of its components. Together they have no more than the ray that arrived, so
+/// where it leaves n pending, the first has at most 1 / (n + 1) of that. From 3, the camera's, n of 1 at each surface
+/// leads below 2^-13, the [least throughput](crate::View::DEFAULT_MIN_THROUGHPUT), after 14 of them, with 15 rays
+/// pending, n of 2 (a blended surface of glass) after 9, with 19. A lower limit may need more; then the pixel counts as
+/// one that needs too many rays.
 ///
-/// In WGSL, where private memory is scarce, 1, 9 or 17 by the scene's needs; here always 17.
-pub(super) const MAX_PENDING: usize = 1 + 2 * MAX_DEPTH as usize;
+/// In WGSL, where private memory is scarce, 1, 15 or 19 by how many rays may leave a surface; here always 19.
+pub(super) const MAX_PENDING: usize = 19;
+/// A camera is on a surface that is nearer to it than this many times the bound of rounding by which secondary rays are
+/// offset: once for the surface as it is drawn, once for where the scene has it.
+pub(super) const ON_SURFACE: f32 = 2.0;
 
 /// Upper bound on rays per pixel, shadow rays not counted, by which dispatches are sized. A refracted ray counts twice,
 /// before and after its turn; those pending after `max_rays` are traced as well.
 #[cfg(feature = "gpu")]
 pub(crate) fn max_rays_per_pixel(params: &FrameParams, needs: Needs) -> u32 {
-    let depth = params.max_depth.min(MAX_DEPTH);
     let limit = params.max_rays.saturating_add(2 * MAX_PENDING as u32);
+    // Depths beyond this reach any limit.
+    let depth = params.max_depth.min(limit);
+    let branching = 2u32.checked_shl(depth).map_or(limit, |leaves| leaves.saturating_mul(2).saturating_sub(2));
     match [Needs::BLEND, Needs::REFLECTION, Needs::REFRACTION].map(|need| needs.contains(need)) {
         [true, ..] => limit,
-        [false, true, true] => (2 * ((2 << depth) - 1)).min(limit),
+        [false, true, true] => branching.min(limit),
         [false, false, false] => 1,
         [false, false, true] => (1 + 2 * depth).min(limit),
         [false, true, false] => (1 + depth).min(limit),
@@ -151,6 +153,8 @@ pub(crate) struct RayTree {
     unlit: f32,
     /// Number of rays traced so far.
     traced_rays: u32,
+    /// The least distance of a hit of the primary ray: it grows while that leaves surfaces on which the camera is.
+    near: f32,
     pending_count: usize,
     /// The stack; `pending[pending_count]` is the ray being traced.
     pending: [PendingRay; MAX_PENDING],
@@ -187,6 +191,19 @@ pub(crate) fn render_pixel<'a>(rays: &mut impl RayQueries<'a>, params: &FramePar
     tree.finish()
 }
 
+/// The hit that a pixel of this primary ray shows: the closest one on which the camera is not.
+pub(crate) fn primary_hit<'a>(rays: &mut impl RayQueries<'a>, primary: &RayRecord, ray_mask: u32) -> HitRecord {
+    let direction = Vec3::from_array(primary.direction);
+    let mut ray = *primary;
+    loop {
+        let hit = rays.next_hit(&ray, Continuation::START, ray_mask);
+        if hit.instance == NONE || !is_at_camera(hit.t, direction, &surface_at(rays.scene(), &hit, direction)) {
+            return hit;
+        }
+        ray.t_min = just_behind(hit.t);
+    }
+}
+
 /// The first `params.light_count` lights.
 pub(crate) fn active_lights<'a>(scene: &KernelScene<'a>, params: &FrameParams) -> &'a [LightRecord] {
     &scene.lights[..scene.lights.len().min(params.light_count as usize)]
@@ -201,6 +218,7 @@ impl Default for RayTree {
             color: Vec3::ZERO,
             unlit: 0.0,
             traced_rays: 0,
+            near: 0.0,
             pending_count: 0,
             pending: [nowhere; MAX_PENDING],
             passages: [Passage::NONE; MAX_PENDING],
@@ -213,6 +231,7 @@ impl RayTree {
     pub(crate) fn reset(&mut self, primary: &RayRecord) {
         let [origin, direction] = [primary.origin, primary.direction].map(Vec3::from_array);
         (self.pixel, self.color, self.unlit, self.traced_rays) = (Pixel::MISS, Vec3::ZERO, 0.0, 0);
+        self.near = primary.t_min;
         self.pending[0] = PendingRay::new(origin, direction, 0, Vec3::ONE);
         self.pending_count = 1;
     }
@@ -227,14 +246,20 @@ impl RayTree {
         self.pixel.is_limited |= is_limited;
         let PendingRay { origin, direction, .. } = self.pending[self.pending_count];
         let [origin, direction] = [origin, direction].map(|v| v.to_array());
-        let ray = RayRecord { origin, t_min: 0.0, direction, t_max: f32::MAX };
+        let t_min = if self.is_primary() { self.near } else { 0.0 };
+        let ray = RayRecord { origin, t_min, direction, t_max: f32::MAX };
         let passage = self.passage();
         if passage.is_none() && !is_limited {
             return Some((ray, None));
         }
         let Passage { start, turn } = passage.copied().unwrap_or(Passage::NONE);
         let start = Continuation { only_opaque: is_limited, ..start };
-        Some((RayRecord { t_min: start.t_min(), t_max: turn.t, ..ray }, Some(start)))
+        Some((RayRecord { t_min: max(start.t_min(), t_min), t_max: turn.t, ..ray }, Some(start)))
+    }
+
+    /// Whether the current ray is the primary ray, which has seen nothing yet.
+    fn is_primary(&self) -> bool {
+        self.pixel.distance == f32::MAX
     }
 
     /// That of the current ray, if it goes on from another.
@@ -252,8 +277,9 @@ impl RayTree {
         self.turn().map_or(self.pending[self.pending_count].direction, |turn| turn.direction)
     }
 
-    /// Records the hit of the current ray. A hit returns the surface to shade. A miss returns `None`: it adds sky
-    /// radiance, or, of a ray that turns, pushes the ray from there on.
+    /// Records the hit of the current ray. A hit returns the surface to shade; but a primary ray whose camera is on the
+    /// surface goes on behind it, and `None` is returned. So it is for a miss, which adds sky radiance, or, of a ray
+    /// that turns, pushes the ray from there on.
     pub(crate) fn record_hit(
         &mut self,
         scene: &KernelScene<'_>,
@@ -275,8 +301,13 @@ impl RayTree {
         }
         // Hit: reconstruct the surface.
         let surface = surface_at(scene, hit, self.view_direction());
-        // The first ray is the primary ray: it gives the pixel's normal, distance and identifiers.
-        if self.traced_rays == 1 {
+        if self.is_primary() {
+            if is_at_camera(hit.t, ray.direction, &surface) {
+                self.near = just_behind(hit.t);
+                self.pending_count += 1;
+                return None;
+            }
+            // The primary ray gives the pixel's normal, distance and identifiers.
             let [slot, version] = scene.instances[hit.instance as usize].node_key;
             self.pixel.normal = surface.normal;
             self.pixel.distance = hit.t;
@@ -297,9 +328,7 @@ impl RayTree {
     }
 
     /// Adds the radiance that the surface hit by the current ray emits and reflects, `light` of it from lights, and
-    /// pushes its secondary rays. The
-    /// ray behind a blended surface is pushed first, so it is traced last, and no other ray of this surface is pending
-    /// then (see [`MAX_PENDING`]).
+    /// pushes its secondary rays.
     pub(crate) fn shade(&mut self, params: &FrameParams, hit: &SurfaceHit, light: Vec3) {
         let SurfaceHit { surface, .. } = hit;
         let ray = self.pending[self.pending_count];
@@ -307,12 +336,13 @@ impl RayTree {
         // What goes straight on behind the surface has passed it, and turns where this ray does.
         let turn = self.turn().copied().unwrap_or(Turn::NEVER);
         let passage = Passage { start: hit.behind, turn };
+        let first = self.pending_count;
         // 1. Alpha blends the surface over the ray behind it.
         let mut throughput = ray.throughput;
         if surface.flags.contains(MaterialFlags::BLEND) {
             let alpha = surface.base_color.w;
             let behind = PendingRay { throughput: throughput * (1.0 - alpha), goes_on: true, ..ray };
-            self.push_ray(params, behind, passage);
+            self.push_ray(params, first, behind, passage);
             throughput *= alpha;
         }
         // Unlit surfaces show their base colour, and nothing else.
@@ -346,29 +376,38 @@ impl RayTree {
             let turn = if surface.thin { turn } else { refracted() };
             let throughput = throughput * lobes.specular_transmission;
             let behind = PendingRay { bounces, throughput, goes_on: true, ..ray };
-            self.push_ray(params, behind, Passage { turn, ..passage });
+            self.push_ray(params, first, behind, Passage { turn, ..passage });
         }
         if sharp > 0.0 {
             let origin = offset_ray_origin(surface, reflected_direction);
             let throughput = throughput * (lobes.specular_reflection * sharp);
-            self.push_ray(params, PendingRay::new(origin, reflected_direction, bounces, throughput), Passage::NONE);
+            let reflected = PendingRay::new(origin, reflected_direction, bounces, throughput);
+            self.push_ray(params, first, reflected, Passage::NONE);
         }
     }
 
-    /// Pushes a ray, and how it goes on if it does; beyond the depth limit, below [`MIN_THROUGHPUT`], or if the pixel
-    /// has used up its rays, adds sky radiance instead.
-    fn push_ray(&mut self, params: &FrameParams, ray: PendingRay, passage: Passage) {
-        let is_deep = ray.bounces > params.max_depth.min(MAX_DEPTH);
-        let is_last = self.pixel.is_limited || self.pending_count == MAX_PENDING;
+    /// Pushes a ray, and how it goes on if it does, below the rays of less throughput that were pushed since there were
+    /// `first` (see [`MAX_PENDING`]). Too deep, of too little throughput, or if the pixel has used up its rays or their
+    /// room, adds sky radiance instead.
+    fn push_ray(&mut self, params: &FrameParams, first: usize, ray: PendingRay, passage: Passage) {
+        let is_cut_off = ray.bounces > params.max_depth || max_component(ray.throughput) <= params.min_throughput;
+        self.pixel.is_limited |= !is_cut_off && self.pending_count == MAX_PENDING;
         // Cut off: the sky stands in for what the ray would have met.
-        if is_deep || is_last || max_component(ray.throughput) < MIN_THROUGHPUT {
+        if is_cut_off || self.pixel.is_limited {
             let direction = if passage.turn.happens() { passage.turn.direction } else { ray.direction };
             self.color += ray.throughput * sky_radiance(params, direction);
             return;
         }
-        self.pending[self.pending_count] = ray;
+        let mut place = self.pending_count;
+        let throughput = component_sum(ray.throughput);
+        while place > first && component_sum(self.pending[place - 1].throughput) < throughput {
+            self.pending[place] = self.pending[place - 1];
+            self.passages[place] = self.passages[place - 1];
+            place -= 1;
+        }
+        self.pending[place] = ray;
         if ray.goes_on {
-            self.passages[self.pending_count] = passage;
+            self.passages[place] = passage;
         }
         self.pending_count += 1;
     }
@@ -377,6 +416,18 @@ impl RayTree {
     pub(crate) fn finish(&self) -> Pixel {
         Pixel { color: self.color.extend(1.0 + unlit_share(self.color, self.unlit)), ..self.pixel }
     }
+}
+
+/// Whether the camera is on the surface that its ray hits at `t`: nearer than the rounding of positions, and the hit is
+/// where the camera is, not where a plane that it nearly lies in is far away.
+fn is_at_camera(t: f32, direction: Vec3, surface: &Surface) -> bool {
+    let cosine = max(dot3(direction, surface.geometric_normal).abs(), MIN_COSINE);
+    t * cosine <= surface.ray_offset * ON_SURFACE
+}
+
+/// The next greater number; for 0 the least normal one.
+fn just_behind(t: f32) -> f32 {
+    max(t.next_up(), f32::MIN_POSITIVE)
 }
 
 /// The share of a pixel's radiance that came from unlit surfaces, 0 to 1, by the sums of components: tone mapping

@@ -52,7 +52,7 @@ pub(crate) fn mirror_depth(scene: &mut Scene) -> Result<View> {
     put(scene, shapes::cuboid(Vec3::splat(0.25)), Material::diffuse(vec3(0.1, 0.3, 0.8)), at(0.7, 0.25, -0.6))?;
     add_sun(scene, 2.0)?;
     let mut view = look(dvec3(1.3, 1.7, 2.4), dvec3(-0.1, 0.7, -2.0));
-    view.max_depth = View::MAX_DEPTH;
+    view.max_depth = 8;
     Ok(view)
 }
 

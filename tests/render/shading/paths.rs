@@ -2,7 +2,7 @@
 
 use glam::{DAffine3, DVec3, Vec3, Vec4};
 use ropewalk::graph::{AlphaMode, WallKind};
-use ropewalk::{Camera, Geometry, Material, Scene, Sky, View};
+use ropewalk::{Camera, DeviceChoice, Geometry, Material, Renderer, RendererOptions, Scene, Sky, View};
 
 use super::scenes::{at, black, cube, front, middle, put, render, sphere, square};
 
@@ -13,15 +13,36 @@ fn two_mirrors_show_each_other_to_the_depth_asked_for() {
     put(&mut scene, square(1.0), glowing_mirror.clone(), at(0.0, 0.0, -1.0));
     let facing_back = DAffine3::from_translation(DVec3::Z) * DAffine3::from_rotation_y(std::f64::consts::PI);
     put(&mut scene, square(1.0), glowing_mirror, facing_back);
-    for depth in 0..=View::MAX_DEPTH {
+    for depth in (0..9).chain([100, 1000, u32::MAX]) {
         let camera = Camera::orthographic(0.3, 0.3);
         let mut view = View::look_at(DVec3::ZERO, DVec3::NEG_Z, DVec3::Y, camera, 4, 4);
         view.sky = black();
-        view.max_depth = depth;
+        (view.max_depth, view.min_throughput) = (depth, 0.0);
         // 1 + 1/2 + 1/4 and so on: as many mirrors as rays.
-        let expected = 2.0 - 0.5f32.powi(depth as i32);
+        let expected = 2.0 - 0.5f32.powi(depth.min(1000) as i32);
         for color in &render(&mut scene, &view).color {
             assert!((color[0] - expected).abs() < 1e-6, "depth {depth}: {}, expected {expected}", color[0]);
+        }
+    }
+}
+
+/// Where surfaces send light three ways, or two, each again and again, what is pending stays bounded: no pixel is
+/// limited. A lower limit of throughput may need more, and says so.
+#[test]
+fn rays_that_branch_at_any_depth_stay_few() {
+    let blended = Material { alpha_mode: AlphaMode::Blend, ..Material::glass(1.5) };
+    for (material, limited) in [(Material::glass(1.5), true), (blended, true)] {
+        let mut scene = Scene::new();
+        for layer in 0..40 {
+            let tint = Vec4::new(1.0, 0.9, 0.8, 0.5);
+            let pane = Material { base_color: tint, wall: WallKind::Thin, ior: 9.0, ..material.clone() };
+            put(&mut scene, square(2.0), pane, at(0.0, 0.0, f64::from(layer) * 0.1));
+        }
+        for (min_throughput, limited) in [(View::DEFAULT_MIN_THROUGHPUT, false), (1e-8, limited)] {
+            let view = View { max_depth: 1000, max_rays: 1_000_000, min_throughput, ..front(1, black()) };
+            let mut renderer = Renderer::new(&RendererOptions::default().with_device(DeviceChoice::Cpu)).unwrap();
+            let frame = renderer.render(&mut scene, &view).unwrap();
+            assert_eq!(frame.limited_pixels().unwrap() > 0, limited, "{min_throughput}");
         }
     }
 }
@@ -110,7 +131,7 @@ fn a_bulb_is_hollow_and_a_ball_is_solid() {
         let eye = DVec3::new(0.7, 0.0, 10.0);
         let camera = Camera::orthographic(0.01, 0.01);
         let mut view = View::look_at(eye, eye - DVec3::Z, DVec3::Y, camera, 1, 1);
-        (view.sky, view.max_depth) = (sky, View::MAX_DEPTH);
+        (view.sky, view.max_depth) = (sky, 8);
         render(&mut scene, &view).color[0][0]
     };
     let ball = seen(scaled(1.0), WallKind::Auto);

@@ -13,7 +13,8 @@ use ropewalk_testkit::{Mesh, Placed, arrays};
 
 /// A frame seen from z = 4 towards the origin, under a white sky.
 fn request(width: u32, height: u32, aovs: bool) -> FrameRequest {
-    let mut params = FrameParams { max_rays: 1024, ..FrameParams::zeroed() };
+    let mut params = FrameParams::zeroed();
+    params.max_rays = 1024;
     params.eye = [0.0, 0.0, 4.0];
     params.width = width;
     params.right = [0.5, 0.0, 0.0];
