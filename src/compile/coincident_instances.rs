@@ -68,12 +68,12 @@ impl CoincidentInstances {
 
     /// Finds the instances that coincide, among those with a box, and empties the boxes of those that others stand for.
     /// Returns how many these are. O(n): every box is read twice, in order, and for few more than those that coincide a
-    /// record is read and hashed.
-    pub(super) fn find(&mut self, boxes: &mut [Aabb], records: &[InstanceRecord]) -> usize {
+    /// record is read and hashed. `placement_hashes` are of the matrices in f64.
+    pub(super) fn find(&mut self, boxes: &mut [Aabb], records: &[InstanceRecord], placement_hashes: &[u64]) -> usize {
         let mut first_of_content: HashMap<InstanceContent, u32> = HashMap::new();
         let mut left_out = 0;
         for slot in slots_with_equal_boxes(boxes) {
-            let content = InstanceContent::of(&records[slot as usize]);
+            let content = InstanceContent::of(&records[slot as usize], placement_hashes[slot as usize]);
             let first = *first_of_content.entry(content).or_insert(slot);
             if first != slot {
                 self.join(first, slot, boxes[slot as usize]);
@@ -98,13 +98,14 @@ impl CoincidentInstances {
     }
 }
 
-/// What instances that coincide have in common: the record without the node. Compared bit by bit.
+/// What instances that coincide have in common: the record, and in place of the node the hash of the matrix in f64.
+/// Compared bit by bit.
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
 struct InstanceContent([u64; size_of::<InstanceRecord>() / 8]);
 
 impl InstanceContent {
-    fn of(record: &InstanceRecord) -> Self {
-        Self(bytemuck::cast(InstanceRecord { node_key: [0; 2], ..*record }))
+    fn of(record: &InstanceRecord, placement_hash: u64) -> Self {
+        Self(bytemuck::cast(InstanceRecord { node_key: bytemuck::cast(placement_hash), ..*record }))
     }
 }
 
@@ -156,7 +157,7 @@ mod tests {
         let (mut boxes, records) = line(&[3, 1, 2, 1, 3, 1]);
         let all = boxes.clone();
         let mut coincident = CoincidentInstances::default();
-        assert_eq!(coincident.find(&mut boxes, &records), 3);
+        assert_eq!(coincident.find(&mut boxes, &records, &[0; 6]), 3);
         let kept: Vec<usize> = (0..6).filter(|&slot| !boxes[slot].is_empty()).collect();
         assert_eq!((kept, coincident.left_out_count()), (vec![0, 1, 2], 3));
         let groups = [5, 0, 2].map(|slot| coincident.group(slot).collect::<Vec<u32>>());
@@ -175,9 +176,9 @@ mod tests {
         let all = boxes.clone();
         boxes[..2].fill(Aabb::EMPTY);
         let mut coincident = CoincidentInstances::default();
-        assert_eq!(coincident.find(&mut boxes, &records), 1);
+        assert_eq!(coincident.find(&mut boxes, &records, &[0; 4]), 1);
         boxes[..2].copy_from_slice(&all[..2]);
-        assert_eq!(coincident.find(&mut boxes, &records), 2);
+        assert_eq!(coincident.find(&mut boxes, &records, &[0; 4]), 2);
         assert!(coincident.group(3).eq(0..4) && coincident.left_out_count() == 3);
         assert!(boxes[1..].iter().all(Aabb::is_empty) && !boxes[0].is_empty());
     }
@@ -195,8 +196,9 @@ mod tests {
         for change in differing {
             let mut records = records.clone();
             change(&mut records[1]);
-            assert_eq!(CoincidentInstances::default().find(&mut boxes.clone(), &records), 0);
+            assert_eq!(CoincidentInstances::default().find(&mut boxes.clone(), &records, &[0; 2]), 0);
         }
+        assert_eq!(CoincidentInstances::default().find(&mut boxes.clone(), &records, &[0, 1]), 0);
     }
 
     #[test]

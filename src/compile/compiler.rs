@@ -3,7 +3,7 @@
 use std::ops::Range;
 use std::time::Instant;
 
-use glam::DVec3;
+use glam::{DAffine3, DVec3};
 
 use super::changes::SceneChanges;
 use super::geometry_table::GeometryTable;
@@ -12,7 +12,8 @@ use super::instance_record::{RecordInputs, instance_record};
 use super::instance_table::{InstanceTable, Member};
 use super::light_table::LightTable;
 use super::material_table::MaterialTable;
-use super::render_origin::{fits_f32, free_distance, on_grid};
+use super::pack::relative_to;
+use super::render_origin::{Focus, best_origin, has_extent_below, must_rebase};
 use super::report::CompileReport;
 use super::users::Users;
 use super::view_dependent::ViewDependentState;
@@ -20,7 +21,7 @@ use super::viewpoint::Viewpoint;
 use crate::accel::TlasUpdate;
 use crate::device::{DeviceArrays, Needs};
 use crate::graph::{ChangeCursor, Changes, Core, GeometryKey, Hierarchy, MaterialKey, NodePath, Scene, SceneId};
-use crate::math::{Aabb, Bounds};
+use crate::math::Bounds;
 use crate::{Cancel, Error, Result};
 
 /// Compiles a scene into [`DeviceArrays`], incrementally after each edit; a different scene is compiled from nothing.
@@ -54,6 +55,9 @@ pub struct Compiler {
     is_unfinished: bool,
     cancel: Cancel,
 }
+
+/// The most times that the render origin moves in one compile: the error of its choice shrinks by 2^20 each time.
+const MAX_REBASES: usize = 3;
 
 /// How far a hierarchy has been read: its generation, and how many entries it had, and how many of them were removed.
 #[derive(Clone, Copy, Debug, Default)]
@@ -123,9 +127,13 @@ impl Compiler {
     /// between two states and must not be traced, and the next call goes on where this one has stopped.
     pub fn compile(&mut self, scene: &mut Scene, viewpoint: impl Into<Viewpoint>) -> Result<CompileReport> {
         let viewpoint = viewpoint.into();
-        let result = self.try_compile(scene, &viewpoint);
+        self.compile_for(scene, &viewpoint, &Focus::Eye(viewpoint.eye))
+    }
+
+    fn compile_for(&mut self, scene: &mut Scene, viewpoint: &Viewpoint, focus: &Focus) -> Result<CompileReport> {
+        let result = self.try_compile(scene, viewpoint, focus);
         match result {
-            Ok(_) => self.last_viewpoint = Some((scene.id(), viewpoint)),
+            Ok(_) => self.last_viewpoint = Some((scene.id(), *viewpoint)),
             Err(Error::Cancelled) => {}
             Err(_) => *self = Self { cancel: std::mem::take(&mut self.cancel), ..Self::new() },
         }
@@ -133,19 +141,38 @@ impl Compiler {
     }
 
     /// Brings the arrays up to date for the viewpoint last used with `scene`; without one, for the centre of the scene.
+    /// The render origin stays where it is.
     ///
     /// # Errors
     /// As [`compile`](Self::compile).
     pub fn compile_from_last_viewpoint(&mut self, scene: &mut Scene) -> Result<CompileReport> {
-        let last = self.last_viewpoint.filter(|(id, _)| *id == scene.id());
-        let viewpoint = match last {
-            Some((_, viewpoint)) => viewpoint,
+        match self.last_viewpoint_of(scene) {
+            Some(viewpoint) => self.compile_for(scene, &viewpoint, &Focus::Unchanged),
             None => {
                 let center = scene.world_bounds(scene.root())?.center();
-                if center.is_finite() { center } else { DVec3::ZERO }.into()
+                self.compile(scene, if center.is_finite() { center } else { DVec3::ZERO })
             }
-        };
-        self.compile(scene, viewpoint)
+        }
+    }
+
+    /// The same, after a first call of [`compile_from_last_viewpoint`](Self::compile_from_last_viewpoint), with
+    /// positions that are precise for rays that start in these bounds: the render origin moves there if it must.
+    pub(crate) fn compile_around(&mut self, scene: &mut Scene, starts: &Bounds) -> Result<CompileReport> {
+        match self.last_viewpoint_of(scene) {
+            Some(viewpoint) => self.compile_for(scene, &viewpoint, &Focus::RayStarts(*starts)),
+            None => self.compile_from_last_viewpoint(scene),
+        }
+    }
+
+    fn last_viewpoint_of(&self, scene: &Scene) -> Option<Viewpoint> {
+        self.last_viewpoint.filter(|(id, _)| *id == scene.id()).map(|(_, viewpoint)| viewpoint)
+    }
+
+    /// Whether an instance has less than this extent, as seen from within these bounds: its distance and its radius. A
+    /// position is exact enough if its error is small beside that.
+    pub(crate) fn has_detail_below(&self, bounds: &Bounds, extent: f64) -> bool {
+        let relative = Bounds { min: bounds.min - self.origin, max: bounds.max - self.origin };
+        has_extent_below(&self.arrays.tlas_nodes, &relative, extent)
     }
 
     /// The device arrays of the compiled scene.
@@ -170,13 +197,21 @@ impl Compiler {
         Some(InstanceSource { path: hierarchy.path(entry as usize), geometry, material })
     }
 
+    /// The matrix of an element of the `instances` array, relative to the render origin, in f64: as the scene has it,
+    /// where the record's is rounded to f32. `None` for an unused element. `hierarchy` as for
+    /// [`instance_source`](Self::instance_source). O(1).
+    pub(crate) fn world_from_local(&self, instance_index: u32, hierarchy: &Hierarchy) -> Option<DAffine3> {
+        let entry = self.instances.member(instance_index)?.entry as usize;
+        relative_to(&self.view.world_from_local(hierarchy, entry), self.origin)
+    }
+
     /// The elements of the `instances` array that coincide with one, itself included. Ascending: the first stands for
     /// all in the TLAS.
     pub(crate) fn coincident_instances(&self, instance_index: u32) -> impl Iterator<Item = u32> {
         self.bounds.coincident_with(instance_index)
     }
 
-    fn try_compile(&mut self, scene: &mut Scene, viewpoint: &Viewpoint) -> Result<CompileReport> {
+    fn try_compile(&mut self, scene: &mut Scene, viewpoint: &Viewpoint, focus: &Focus) -> Result<CompileReport> {
         self.cancel.check()?;
         let start = Instant::now();
         let mut report = self.report_if_unchanged.clone();
@@ -184,11 +219,11 @@ impl Compiler {
         self.compile_count += 1;
         if self.last_viewpoint.is_none() {
             // No compile of this scene has been finished: nothing is relative to another origin yet.
-            self.origin = on_grid(viewpoint.eye, f64::INFINITY);
+            self.origin = best_origin(&Focus::Eye(viewpoint.eye), DVec3::ZERO, &[]);
         } else if !self.is_unfinished
             && !changes.affects_image
             && self.view.is_current(viewpoint)
-            && !self.must_rebase(viewpoint.eye)
+            && !must_rebase(focus, self.origin, &self.arrays.tlas_nodes)
         {
             report.update_time = start.elapsed();
             return Ok(report);
@@ -202,10 +237,14 @@ impl Compiler {
         self.update_view(scene, hierarchy, viewpoint)?;
         // 3. Update the geometries and materials in use.
         self.update_assets(scene, &changes, resumes, &mut report)?;
-        // 4. Write instance and light records relative to the render origin; again if the origin moves to the eye.
+        // 4. Write instance and light records relative to the render origin; again if the origin moves to the focus.
         self.write_records(scene, hierarchy, &mut report)?;
-        if self.must_rebase(viewpoint.eye) {
-            self.origin = on_grid(viewpoint.eye, self.free_distance(viewpoint.eye));
+        // The boxes by which the origin is chosen are as coarse as f32 is where they are: the first may not be the best.
+        for _ in 0..MAX_REBASES {
+            if !must_rebase(focus, self.origin, &self.arrays.tlas_nodes) {
+                break;
+            }
+            self.origin = best_origin(focus, self.origin, &self.arrays.tlas_nodes);
             self.instances.mark_all();
             self.lights.mark_all();
             self.write_records(scene, hierarchy, &mut report)?;
@@ -394,31 +433,6 @@ impl Compiler {
         self.users = Users::default();
         self.bounds.clear(&mut self.arrays.tlas_nodes);
         self.arrays.instances.truncate(0);
-    }
-
-    /// Whether the render origin must move to the eye: the eye is farther from it than it may go, or f32 does not hold
-    /// the origin, although the scene has become large enough for one that it does hold. Otherwise camera motion
-    /// changes nothing on the device. Where nothing is placed, the origin follows the eye.
-    fn must_rebase(&self, eye: DVec3) -> bool {
-        let free_distance = self.free_distance(eye);
-        let best = on_grid(eye, free_distance);
-        if free_distance == f64::INFINITY {
-            return self.origin != best;
-        }
-        eye.distance(self.origin) > free_distance || (!fits_f32(self.origin) && fits_f32(best))
-    }
-
-    /// How far the eye may be from the render origin.
-    fn free_distance(&self, eye: DVec3) -> f64 {
-        free_distance(&self.scene_bounds(), eye - self.origin)
-    }
-
-    /// The box around all instances as they were last compiled, relative to the render origin.
-    fn scene_bounds(&self) -> Bounds {
-        match self.arrays.tlas_nodes.first().filter(|root| !root.is_empty_root()) {
-            Some(root) => Aabb { min: root.min.into(), max: root.max.into() }.into(),
-            None => Bounds::EMPTY,
-        }
     }
 
     /// Fills in the totals of the report. O(materials).

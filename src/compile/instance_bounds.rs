@@ -12,6 +12,8 @@ pub(super) struct InstanceBounds {
     /// By slot, relative to the render origin; empty for an unused slot, for an instance that no ray can hit, and for
     /// one that another stands for.
     boxes: Vec<Aabb>,
+    /// By slot: a hash of the matrix in f64, which tells instances apart whose records f32 rounds to the same.
+    placement_hashes: Vec<u64>,
     /// Slots whose boxes have changed since the last update of the TLAS, in the order of the changes.
     changed_slots: Vec<u32>,
     coincident: CoincidentInstances,
@@ -19,9 +21,16 @@ pub(super) struct InstanceBounds {
 }
 
 impl InstanceBounds {
-    /// Sets the box of a slot whose record has been written; `record_changed` says whether it is another one than
-    /// before. New slots between the last one and this get empty boxes.
-    pub(super) fn set(&mut self, slot: u32, bounds: Aabb, record_changed: bool) {
+    /// Sets the box and the hash of the matrix of a slot whose record has been written; `record_changed` says whether it
+    /// is another one than before. New slots between the last one and this get empty boxes.
+    pub(super) fn set(&mut self, slot: u32, bounds: Aabb, placement_hash: u64, record_changed: bool) {
+        let index = slot as usize;
+        if index >= self.boxes.len() {
+            self.boxes.resize(index + 1, Aabb::EMPTY);
+            self.placement_hashes.resize(index + 1, 0);
+        }
+        let record_changed = record_changed || self.placement_hashes[index] != placement_hash;
+        self.placement_hashes[index] = placement_hash;
         // 1. An instance that coincides with others no longer does so if it has changed.
         if let Some(group_bounds) = self.coincident.group_bounds(slot) {
             if !record_changed && group_bounds == bounds {
@@ -37,9 +46,6 @@ impl InstanceBounds {
 
     fn set_box(&mut self, slot: u32, bounds: Aabb) {
         let index = slot as usize;
-        if index >= self.boxes.len() {
-            self.boxes.resize(index + 1, Aabb::EMPTY);
-        }
         if self.boxes[index] != bounds {
             self.boxes[index] = bounds;
             self.changed_slots.push(slot);
@@ -57,7 +63,9 @@ impl InstanceBounds {
     pub(super) fn update_tlas(&mut self, nodes: &mut DeviceBuffer<Node>, records: &[InstanceRecord]) -> TlasUpdate {
         let changed = std::mem::take(&mut self.changed_slots);
         let update = self.tlas.update(nodes, &self.boxes, &changed);
-        if matches!(update, TlasUpdate::Rebuilt(_)) && self.coincident.find(&mut self.boxes, records) > 0 {
+        if matches!(update, TlasUpdate::Rebuilt(_))
+            && self.coincident.find(&mut self.boxes, records, &self.placement_hashes) > 0
+        {
             self.tlas.build(nodes, &self.boxes);
         }
         update

@@ -1,7 +1,6 @@
 //! From a member to its device record: the one place that reads several tables.
 
-use bytemuck::Zeroable as _;
-use glam::DVec3;
+use glam::{DAffine3, DVec3};
 
 use super::geometry_table::{GeometryEntry, GeometryTable};
 use super::instance_table::{CompiledInstance, Member};
@@ -9,9 +8,8 @@ use super::material_table::{MaterialEntry, MaterialTable};
 use super::pack::InstanceTransform;
 use super::view_dependent::ViewDependentState;
 use crate::device::Needs;
-use crate::device::layout::{InstanceFlags, InstanceRecord};
+use crate::device::layout::InstanceFlags;
 use crate::graph::{Hierarchy, WallKind};
-use crate::math::Aabb;
 
 /// Everything that an instance record is computed from.
 #[derive(Clone, Copy)]
@@ -26,23 +24,21 @@ pub(super) struct RecordInputs<'a> {
 
 /// The record, world box and triangle count of an instance; a zero record and an empty box if no ray can hit it.
 pub(super) fn instance_record(member: &Member, inputs: &RecordInputs<'_>) -> CompiledInstance {
-    let unhittable =
-        |triangle_count| CompiledInstance { record: InstanceRecord::zeroed(), bounds: Aabb::EMPTY, triangle_count };
     // 1. The assets. All that members use were stored before records are written.
     let (Some(geometry), Some(material)) =
         (inputs.geometries.get(member.geometry), inputs.materials.get(member.material))
     else {
-        return unhittable(0);
+        return CompiledInstance::unhittable(0);
     };
     // 2. No triangle can be hit: there are none, or all are degenerate.
     if geometry.nodes.is_empty() {
-        return unhittable(geometry.triangle_count());
+        return CompiledInstance::unhittable(geometry.triangle_count());
     }
     // 3. The transform and the world box; a matrix that leaves a line or a point, or is beyond f32, has none.
     let entry = member.entry as usize;
     let world_from_local = inputs.view.world_from_local(inputs.hierarchy, entry);
     let Some(transform) = InstanceTransform::new(&world_from_local, inputs.origin, &geometry.support) else {
-        return unhittable(geometry.triangle_count());
+        return CompiledInstance::unhittable(geometry.triangle_count());
     };
     // 4. Offsets into the device arrays, flags, and the record.
     let indices =
@@ -54,8 +50,17 @@ pub(super) fn instance_record(member: &Member, inputs: &RecordInputs<'_>) -> Com
     CompiledInstance {
         record: transform.instance_record(indices, mask, flags, member.node),
         bounds: transform.bounds,
+        placement_hash: hash(&world_from_local),
         triangle_count: geometry.triangle_count(),
     }
+}
+
+/// A hash of a matrix, bit by bit.
+fn hash(matrix: &DAffine3) -> u64 {
+    matrix
+        .to_cols_array()
+        .iter()
+        .fold(0, |hash: u64, number| (hash.rotate_left(5) ^ number.to_bits()).wrapping_mul(0x517c_c1b7_2722_0a95))
 }
 
 /// Whether a transmissive surface is a thin wall: as its material says, else as its geometry looks.

@@ -28,8 +28,17 @@ pub(super) struct CompiledInstance {
     pub(super) record: InstanceRecord,
     /// World box, relative to the render origin; empty if no ray can hit the instance.
     pub(super) bounds: Aabb,
+    /// A hash of the matrix in f64.
+    pub(super) placement_hash: u64,
     /// Triangles of the geometry, whether they can be hit or not.
     pub(super) triangle_count: usize,
+}
+
+impl CompiledInstance {
+    /// A zero record, without a box.
+    pub(super) fn unhittable(triangle_count: usize) -> Self {
+        Self { record: InstanceRecord::zeroed(), bounds: Aabb::EMPTY, placement_hash: 0, triangle_count }
+    }
 }
 
 /// The instances by slot: the index in the `instances` array. A slot is unused, or holds one member.
@@ -212,9 +221,8 @@ impl InstanceTable {
         bounds: &mut InstanceBounds,
     ) -> usize {
         // 1. Clear vacated slots first: some are in use again, and are then written below.
-        let cleared = CompiledInstance { record: InstanceRecord::zeroed(), bounds: Aabb::EMPTY, triangle_count: 0 };
         let mut vacated = std::mem::take(&mut self.vacated_slots);
-        vacated.drain(..).for_each(|slot| self.write_slot(slot, &cleared, records, bounds));
+        vacated.drain(..).for_each(|slot| self.write_slot(slot, &CompiledInstance::unhittable(0), records, bounds));
         self.vacated_slots = vacated;
         // 2. Compile the members of stale slots in parallel, and write them in order. In chunks that fit a cache.
         let mut stale = std::mem::take(&mut self.stale_slots);
@@ -244,7 +252,7 @@ impl InstanceTable {
     ) {
         let record_changed = records.get(slot as usize) != Some(&instance.record);
         records.write(slot as usize, &[instance.record]);
-        bounds.set(slot, instance.bounds, record_changed);
+        bounds.set(slot, instance.bounds, instance.placement_hash, record_changed);
         let state = &mut self.slots[slot as usize];
         self.totals.remove(state);
         (state.is_hittable, state.triangle_count) = (!instance.bounds.is_empty(), instance.triangle_count);

@@ -29,9 +29,7 @@ impl InstanceTransform {
     /// back to world space.
     pub(super) fn new(world_from_local: &DAffine3, origin: DVec3, support: &SupportFunction) -> Option<Self> {
         // 1. Relative to the render origin.
-        let mut relative = *world_from_local;
-        relative.translation -= origin;
-        relative.matrix3 = with_least_thickness(&relative.matrix3)?;
+        let relative = relative_to(world_from_local, origin)?;
         // 2. Round the inverse to f32, as the device has it.
         let local_from_world = relative.inverse().as_affine3();
         let rounded_local_from_world = local_from_world.as_daffine3();
@@ -88,6 +86,13 @@ impl InstanceTransform {
             node_key: [key as u32, (key >> 32) as u32],
         }
     }
+}
+
+/// The matrix relative to the render origin, with a [least thickness](with_least_thickness) along an axis that it
+/// scales to zero; `None` if it scales two.
+pub(super) fn relative_to(world_from_local: &DAffine3, origin: DVec3) -> Option<DAffine3> {
+    let matrix3 = with_least_thickness(&world_from_local.matrix3)?;
+    Some(DAffine3 { matrix3, translation: world_from_local.translation - origin })
 }
 
 /// Whether a row of an affine matrix multiplies without rounding: one number of the linear part is not zero, and that

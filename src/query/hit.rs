@@ -38,16 +38,16 @@ pub struct Hit {
 
 /// A candidate hit, as indices; resolved to a [`Hit`] only if it is returned.
 #[derive(Clone, Copy)]
-pub(super) struct HitCandidate {
+pub(crate) struct HitCandidate {
     /// Index into the `instances` array.
-    pub(super) instance_index: u32,
+    pub(crate) instance_index: u32,
     /// Index into the `triangles` array.
-    pub(super) triangle: u32,
+    pub(crate) triangle: u32,
     /// The triangle's index in its geometry.
-    pub(super) primitive: u32,
-    pub(super) barycentrics: DVec3,
-    pub(super) distance: f64,
-    pub(super) back_face: bool,
+    pub(crate) primitive: u32,
+    pub(crate) barycentrics: DVec3,
+    pub(crate) distance: f64,
+    pub(crate) back_face: bool,
 }
 
 /// By how much a back face counts as farther, relative to its distance: beyond the rounding of both. Where a closed
@@ -82,7 +82,7 @@ impl Queries<'_> {
     pub(super) fn hit(&self, found: &HitCandidate) -> Option<Hit> {
         let arrays = self.compiler.arrays();
         let source = self.compiler.instance_source(found.instance_index, self.hierarchy)?;
-        let placement = PlacedInstance::new(found.instance_index, &arrays.instances[found.instance_index as usize]);
+        let placement = self.placed(found.instance_index, &arrays.instances[found.instance_index as usize])?;
         // 1. The point in local space.
         let triangle = &arrays.triangles[found.triangle as usize];
         let corners = [triangle.v0, triangle.v1, triangle.v2].map(to_dvec3);

@@ -1,10 +1,10 @@
 //! Ray, region and point queries on the CPU.
 //!
-//! They traverse the binary nodes of the device arrays, both levels by escape indices, without a stack. Tests are exact
-//! on triangles in f64, relative to the render origin. Positions are those of the rendered geometry: f32 instance
-//! matrices displace it by up to 2^-22 of its distance to the render origin. Placements that are translations f32 holds
-//! relative to that origin are not displaced, an identity matrix among them (`compile/render_origin.rs`); what is left
-//! for those is the rounding of f64, 2^-52 of the distance to the render origin.
+//! They traverse the binary nodes of the device arrays, both levels by escape indices, without a stack. Triangles are
+//! tested in f64, in the local space of each instance, by the matrices that the scene has: what is found depends on the
+//! scene and the question alone, not on the render origin. What is left is the rounding of f64, 2^-52 of the distance
+//! to the render origin. (Frames and batches use matrices that are rounded to f32 relative to the render origin, which
+//! displaces what they show by up to 2^-22 of its distance to that.)
 
 mod containment;
 mod hit;
@@ -151,7 +151,13 @@ impl<'a> Queries<'a> {
 
     /// As [`instance`](Self::instance), with its matrices.
     fn placement(&self, leaf: &Node) -> Option<PlacedInstance<'_>> {
-        self.instance(leaf).map(|(instance_index, instance)| PlacedInstance::new(instance_index, instance))
+        self.instance(leaf).and_then(|(instance_index, instance)| self.placed(instance_index, instance))
+    }
+
+    /// An instance with its matrices.
+    fn placed<'b>(&self, instance_index: u32, instance: &'b InstanceRecord) -> Option<PlacedInstance<'b>> {
+        let world_from_local = self.compiler.world_from_local(instance_index, self.hierarchy)?;
+        Some(PlacedInstance::new(instance_index, instance, world_from_local))
     }
 
     /// The triangles of a leaf of a BLAS, with the index of the first.

@@ -45,6 +45,10 @@ impl Ray {
     }
 }
 
+/// How far around a hit of the kernel it is searched in f64, relative to t: 2^-14, many times the rounding of a t that
+/// is not seen at a grazing angle.
+const RELATIVE_SLACK: f64 = 1.0 / (1 << 14) as f64;
+
 /// Ray queries, with the hit rules of camera rays.
 ///
 /// Back faces of single-sided materials and the holes of an alpha mask are not hit; surfaces that blend or transmit
@@ -57,6 +61,11 @@ impl Queries<'_> {
     /// # Errors
     /// As [`Ray::validate`].
     pub fn closest_hit(&self, ray: &Ray) -> Result<Option<Hit>> {
+        ray.validate()?;
+        Ok(self.closest_candidate(ray).and_then(|found| self.hit(&found)))
+    }
+
+    fn closest_candidate(&self, ray: &Ray) -> Option<HitCandidate> {
         let mut closest: Option<HitCandidate> = None;
         self.for_each_crossing(ray, |found| {
             if closest.is_none_or(|closest| found.order(&closest).is_lt()) {
@@ -65,8 +74,8 @@ impl Queries<'_> {
             ControlFlow::Continue(
                 closest.map_or(ray.t_max, |closest| closest.greatest_distance_before().min(ray.t_max)),
             )
-        })?;
-        Ok(closest.and_then(|found| self.hit(&found)))
+        });
+        closest
     }
 
     /// Whether there is any hit; stops at the first one found. O(log triangles) on average.
@@ -74,11 +83,12 @@ impl Queries<'_> {
     /// # Errors
     /// As [`Ray::validate`].
     pub fn any_hit(&self, ray: &Ray) -> Result<bool> {
+        ray.validate()?;
         let mut any = false;
         self.for_each_crossing(ray, |_| {
             any = true;
             ControlFlow::Break(())
-        })?;
+        });
         Ok(any)
     }
 
@@ -89,12 +99,13 @@ impl Queries<'_> {
     /// # Errors
     /// As [`Ray::validate`].
     pub fn all_hits(&self, ray: &Ray) -> Result<Vec<Hit>> {
+        ray.validate()?;
         let mut all = Vec::new();
         self.for_each_crossing(ray, |found| {
             let instances = self.compiler.coincident_instances(found.instance_index);
             all.extend(instances.map(|instance_index| HitCandidate { instance_index, ..found }));
             ControlFlow::Continue(ray.t_max)
-        })?;
+        });
         all.sort_unstable_by(HitCandidate::order);
         // A triangle that is in several leaves was found several times.
         all.dedup_by_key(|found| (found.instance_index, found.primitive));
@@ -105,12 +116,31 @@ impl Queries<'_> {
     /// with the rendered pixel.
     pub(crate) fn hit_of_pixel(&self, primary: &layout::RayRecord) -> Option<Hit> {
         let hit = primary_hit(&mut &KernelScene::new(self.compiler.arrays()), primary, self.mask);
-        self.hit_from_record(&hit, f64::from(hit.t))
+        self.hit_from_record(&hit, [hit.u, hit.v].map(f64::from), f64::from(hit.t))
     }
 
-    /// Resolves a hit record of the kernel; `None` for a miss. `distance` is t in the units of the caller's ray.
-    pub(crate) fn hit_from_record(&self, hit: &layout::HitRecord, distance: f64) -> Option<Hit> {
-        let (u, v) = (f64::from(hit.u), f64::from(hit.v));
+    /// The closest hit of a ray of which the kernel has found `hit`, at `t` in f64: the first one within the rounding
+    /// of that, `rounding` being that of positions, in units of t. If there is none, or the triangle that was hit is
+    /// elsewhere, the whole ray is traced again.
+    pub(crate) fn closest_hit_near(
+        &self,
+        ray: &Ray,
+        hit: &layout::HitRecord,
+        t: f64,
+        rounding: f64,
+    ) -> Option<HitCandidate> {
+        let slack = t.abs() * RELATIVE_SLACK + rounding;
+        let near = Ray { t_min: ray.t_min.max(t - slack), t_max: ray.t_max.min(t + slack), ..*ray };
+        let found = self.closest_candidate(&near).filter(|found| {
+            let is_as_expected = (found.distance - t).abs() <= 0.5 * slack;
+            is_as_expected || (found.instance_index, found.primitive) != (hit.instance, hit.primitive)
+        });
+        found.or_else(|| self.closest_candidate(ray))
+    }
+
+    /// Resolves a hit record of the kernel; `None` for a miss. `u` and `v` are the weights of the second and third
+    /// vertex, `distance` is t in the units of the caller's ray.
+    pub(crate) fn hit_from_record(&self, hit: &layout::HitRecord, [u, v]: [f64; 2], distance: f64) -> Option<Hit> {
         let found = HitCandidate {
             instance_index: hit.instance,
             triangle: hit.triangle,
@@ -124,8 +154,7 @@ impl Queries<'_> {
 
     /// Calls `found` for every hit in the t range, in no particular order. It returns the new `t_max`, or stops the
     /// traversal.
-    fn for_each_crossing(&self, ray: &Ray, mut found: impl FnMut(HitCandidate) -> ControlFlow<(), f64>) -> Result<()> {
-        ray.validate()?;
+    fn for_each_crossing(&self, ray: &Ray, mut found: impl FnMut(HitCandidate) -> ControlFlow<(), f64>) {
         let origin = self.relative(ray.origin);
         let world = TraversalRay::new(origin, ray.direction);
         let mut t_max = ray.t_max;
@@ -159,12 +188,11 @@ impl Queries<'_> {
                         back_face,
                     }) {
                         ControlFlow::Continue(limit) => t_max = limit,
-                        ControlFlow::Break(()) => return Ok(()),
+                        ControlFlow::Break(()) => return,
                     }
                 }
             }
         }
-        Ok(())
     }
 
     /// Applies the kernel's hit rules for camera rays: back-face culling and alpha mask.

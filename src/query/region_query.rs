@@ -29,7 +29,7 @@ impl Queries<'_> {
         while let Some(leaf) = tlas.next_leaf(|node| world.classify_box(node) != Containment::Outside) {
             let Some((instance_index, instance)) = self.instance(leaf) else { continue };
             let is_found = world.classify_box(leaf) == Containment::Inside || {
-                let placement = PlacedInstance::new(instance_index, instance);
+                let Some(placement) = self.placed(instance_index, instance) else { continue };
                 let local = world.transformed(&placement.world_from_local);
                 match overlap {
                     Overlap::Touching => self.touches(&placement, &local, &mut clipper),

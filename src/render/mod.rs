@@ -9,7 +9,7 @@ use std::fmt;
 use std::time::{Duration, Instant};
 
 pub use active_tracer::DeviceChoice;
-pub use ray_batches::{ClosestHits, RayMask};
+pub use ray_batches::{BatchOptions, ClosestHits, Precision, RayMask};
 pub use report::FrameReport;
 pub use view::{Sky, View};
 
@@ -139,8 +139,17 @@ impl Renderer {
     /// # Errors
     /// As [`render`](Self::render).
     pub fn prepare(&mut self, scene: &mut Scene) -> Result<CompileReport> {
+        self.prepare_by(scene, Compiler::compile_from_last_viewpoint)
+    }
+
+    /// Compiles the scene in this way, and uploads it.
+    fn prepare_by(
+        &mut self,
+        scene: &mut Scene,
+        compile: impl FnOnce(&mut Compiler, &mut Scene) -> Result<CompileReport>,
+    ) -> Result<CompileReport> {
         self.device.recover()?;
-        let report = self.compiler.compile_from_last_viewpoint(scene)?;
+        let report = compile(&mut self.compiler, scene)?;
         let uploaded = self.device.tracer_mut().upload(self.compiler.arrays_mut());
         self.device.record_failure(uploaded)?;
         Ok(report)

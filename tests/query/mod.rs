@@ -6,6 +6,7 @@
 mod batch;
 mod cost;
 mod errors;
+mod far_apart;
 mod inside;
 mod nearest;
 mod oracle;

@@ -55,9 +55,9 @@ fn meet(from: DVec3, direction: DVec3, [a, b, c]: [DVec3; 3]) -> Option<(f64, f6
     let q = to.cross(ab);
     let determinant = ab.dot(p);
     let (u, v, t) = (to.dot(p) / determinant, direction.dot(q) / determinant, ac.dot(q) / determinant);
-    // Corners relative to the ray's origin are rounded, then multiplied by two lengths.
+    // Corners relative to the ray's origin are rounded, then multiplied by two lengths; and so are the matrices.
     let size = ab.length().max(ac.length()).max((c - b).length());
-    let rounding = 64.0 * f64::EPSILON * (to.length() + size);
+    let rounding = 256.0 * f64::EPSILON * (to.length() + size);
     let error = rounding * direction.length() * size / determinant.abs();
     let least = u.min(v).min(1.0 - u - v);
     if !(least.is_finite() && t.is_finite() && error.is_finite() && error < 0.1) {

@@ -163,7 +163,7 @@ fn transform(random: &mut Random, center: DVec3, unit: f64, reach: f64) -> Trans
     Transform::Matrix(DAffine3::from_mat3_translation(linear, center + random.in_cube().as_dvec3() * 3.0 * reach))
 }
 
-/// A node with geometry, as it is drawn. World is relative to the render origin.
+/// A node with geometry that is drawn. World is relative to the render origin.
 pub struct Drawn {
     pub path: NodePath,
     pub geometry: GeometryKey,
@@ -223,9 +223,10 @@ fn draw(scene: &Scene, hierarchy: &Hierarchy, entry: usize, origin: DVec3, mask:
         return None;
     }
     relative.matrix3 = with_least_thickness(&relative.matrix3)?;
-    let local_from_world = relative.inverse().as_affine3().as_daffine3();
-    let world_from_local = local_from_world.inverse();
-    if !(local_from_world.is_finite() && world_from_local.is_finite()) {
+    // What f32 cannot hold is not drawn, and not found; what is found has the matrices of the scene.
+    let (local_from_world, world_from_local) = (relative.inverse(), relative);
+    let rounded = local_from_world.as_affine3();
+    if !(rounded.is_finite() && rounded.as_daffine3().inverse().as_affine3().is_finite()) {
         return None;
     }
     let stored = scene.geometry(geometry).unwrap();
