@@ -4,6 +4,7 @@ const BOX_ENTRY_SCALE: f32 = 1.0 - 0x1p-18;
 const MIN_RELATIVE_COMPONENT: f32 = 0x1p-64;
 const MIN_COMPONENT: f32 = 0x1p-120;
 const SQRT_MAX_QUOTIENT: f32 = 0x1p63;
+const SHEARED_EXTENT: f32 = 0x1p30;
 const CORNER_TOLERANCE: f32 = 0x1p-22;
 const EDGE_TOLERANCE: f32 = 0x1p-21;
 const START_ZONE: f32 = 0x1p-6;
@@ -22,8 +23,6 @@ struct ShearRay {
     x_row: vec3<f32>,
     y_row: vec3<f32>,
     t_row: vec3<f32>,
-    // Power of two that scales coordinates to about 1.
-    scale: f32,
     // Factor from t to units of sheared x and y.
     t_to_sheared: f32,
     // The magnitudes of the slopes in `x_row` and `y_row`, before they are scaled: at most 1.
@@ -76,7 +75,7 @@ fn reciprocal_power_of_two(value: f32) -> f32 {
 }
 
 fn shear_ray(origin: vec3<f32>, direction: vec3<f32>, extent: f32) -> ShearRay {
-    let scale = reciprocal_power_of_two(extent);
+    let scale = reciprocal_power_of_two(extent * (1.0 / SHEARED_EXTENT));
     // Find the dominant axis of the direction, and the rows of the shear along it.
     let length = abs(direction);
     var x_row: vec3<f32>;
@@ -111,8 +110,8 @@ fn shear_ray(origin: vec3<f32>, direction: vec3<f32>, extent: f32) -> ShearRay {
         slopes = slopes.yx;
     }
     // Apply it to x and y; t keeps the unit of the ray.
-    let t_to_sheared = abs(major_component) * scale;
-    return ShearRay(origin, direction, x_row * scale, y_row * scale, t_row, scale, t_to_sheared, abs(slopes));
+    let t_to_sheared = min(abs(major_component) * scale, F32_MAX);
+    return ShearRay(origin, direction, x_row * scale, y_row * scale, t_row, t_to_sheared, abs(slopes));
 }
 
 fn intersect_triangle(ray: ShearRay, triangle: Triangle) -> TriangleHit {
@@ -187,8 +186,11 @@ fn intersect_triangle(ray: ShearRay, triangle: Triangle) -> TriangleHit {
 // t at the triangle's plane (point 5). If the ray lies in the plane, t of the vertex with the greatest weight. `t`
 // holds the vertices' t.
 fn plane_t(ray: ShearRay, triangle: Triangle, t: vec3<f32>, weights: vec3<f32>) -> f32 {
-    // Normal, scaled by a power of two.
-    let normal = cross3((triangle.v1 - triangle.v0) * ray.scale, (triangle.v2 - triangle.v0) * ray.scale);
+    // Normal, from edges that are scaled to about 1 by a power of two.
+    let edge_1 = triangle.v1 - triangle.v0;
+    let edge_2 = triangle.v2 - triangle.v0;
+    let scale = reciprocal_power_of_two(max_component(max(abs(edge_1), abs(edge_2))));
+    let normal = cross3(edge_1 * scale, edge_2 * scale);
     // Vertex with the greatest weight.
     var corner = triangle.v2 - ray.origin;
     var corner_t = t.z;

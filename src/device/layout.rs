@@ -6,6 +6,9 @@
 
 use bytemuck::{Pod, Zeroable};
 
+use crate::Result;
+use crate::error::require;
+
 /// "No index" in any index of the device arrays; as an [escape index](Node::escape_index), the end of the hierarchy.
 pub const NONE: u32 = u32::MAX;
 
@@ -533,6 +536,26 @@ pub struct RayRecord {
     pub direction: [f32; 3],
     /// Hits farther than this are ignored, in the same units.
     pub t_max: f32,
+}
+
+impl RayRecord {
+    /// The longest component of a direction is between these, 2^-100 and 2^100: the reciprocal of one that is far
+    /// shorter than the longest must be within f32, and so must products with a normal.
+    const DIRECTION_RANGE: std::ops::RangeInclusive<f32> = 1.0 / (1_u128 << 100) as f32..=(1_u128 << 100) as f32;
+
+    /// Validates the ray.
+    ///
+    /// # Errors
+    /// [`Error::OutOfRange`](crate::Error::OutOfRange) if the origin is not finite, the longest component of the
+    /// direction is not between 2^-100 and 2^100, `t_min` is negative, or a limit is NaN.
+    pub fn validate(&self) -> Result<()> {
+        let longest = self.direction.iter().fold(0.0, |longest: f32, d| longest.max(d.abs()));
+        require(self.origin.iter().all(|x| x.is_finite()), "ray origin", &self.origin, "finite")?;
+        let is_direction = Self::DIRECTION_RANGE.contains(&longest) && self.direction.iter().all(|d| d.is_finite());
+        require(is_direction, "ray direction", &self.direction, "between 2^-100 and 2^100 in its longest component")?;
+        let range = [self.t_min, self.t_max];
+        require(self.t_min >= 0.0 && !self.t_max.is_nan(), "ray interval", &range, "two numbers from 0 on")
+    }
 }
 
 /// The hit of a ray. A miss has `instance == NONE`, see [`MISS`](Self::MISS). 32 bytes.

@@ -88,9 +88,15 @@ pub trait Tracer {
     }
 
     /// The closest hit of each ray, of instances that share a bit with `ray_mask`.
+    ///
+    /// # Errors
+    /// As [`RayRecord::validate`], before anything is traced.
     fn closest_hits(&mut self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> Result<Vec<HitRecord>>;
 
     /// Occlusion query: for each ray, whether an opaque surface lies between `t_min` and `t_max`.
+    ///
+    /// # Errors
+    /// As [`closest_hits`](Self::closest_hits).
     fn any_hits(&mut self, arrays: &DeviceArrays, rays: &[RayRecord], ray_mask: u32) -> Result<Vec<bool>>;
 }
 
@@ -139,8 +145,9 @@ impl DeviceInfo {
 /// Rays that an executor of one thread traces between two looks at its token.
 const RAYS_PER_CHECK: usize = 256;
 
-/// Traces rays one after the other until the token stops it.
+/// Traces valid rays one after the other until the token stops it.
 fn trace_rays<T>(rays: &[RayRecord], cancel: &Cancel, trace: impl Fn(&RayRecord) -> T) -> Result<Vec<T>> {
+    rays.iter().try_for_each(RayRecord::validate)?;
     let mut results = Vec::with_capacity(rays.len());
     for rays in rays.chunks(RAYS_PER_CHECK) {
         cancel.check()?;

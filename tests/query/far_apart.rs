@@ -26,9 +26,7 @@ fn balls(places: &[DVec3]) -> Scene {
 fn rays(count: usize) -> Vec<Ray> {
     let mut random = Random::new(5);
     let start = |v: DVec3| (v * 2f64.powi(20)).round() / 2f64.powi(20);
-    (0..count)
-        .map(|_| Ray::new(start(random.in_cube().as_dvec3() * 0.4), random.direction().as_dvec3()))
-        .collect()
+    (0..count).map(|_| Ray::new(start(random.in_cube().as_dvec3() * 0.4), random.direction().as_dvec3())).collect()
 }
 
 fn moved(rays: &[Ray], place: DVec3) -> Vec<Ray> {

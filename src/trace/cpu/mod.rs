@@ -176,7 +176,7 @@ impl Cpu {
     /// rays so that neighbours in the slice have similar origins and directions.
     ///
     /// # Errors
-    /// [`Error::Cancelled`](crate::Error::Cancelled); some of the hits are then written.
+    /// As [`RayRecord::validate`]; [`Error::Cancelled`](crate::Error::Cancelled): some of the hits are then written.
     ///
     /// # Panics
     /// If `hits` and `rays` differ in length.
@@ -188,6 +188,7 @@ impl Cpu {
         hits: &mut [HitRecord],
     ) -> Result<()> {
         assert_eq!(rays.len(), hits.len(), "`hits` and `rays` must have the same length");
+        rays.iter().try_for_each(RayRecord::validate)?;
         let scene = KernelScene::with_traversal(arrays, Traversal::Wide);
         let tasks = rays.par_chunks(RAYS_PER_TASK).zip(hits.par_chunks_mut(RAYS_PER_TASK));
         tasks.try_for_each_init(
@@ -204,7 +205,7 @@ impl Cpu {
     /// allocation. Order rays as for [`closest_hits_into`](Self::closest_hits_into).
     ///
     /// # Errors
-    /// [`Error::Cancelled`](crate::Error::Cancelled); some of the results are then written.
+    /// As [`RayRecord::validate`]; [`Error::Cancelled`](crate::Error::Cancelled): some of the results are then written.
     ///
     /// # Panics
     /// If `hits` and `rays` differ in length.
@@ -216,6 +217,7 @@ impl Cpu {
         hits: &mut [bool],
     ) -> Result<()> {
         assert_eq!(rays.len(), hits.len(), "`hits` and `rays` must have the same length");
+        rays.iter().try_for_each(RayRecord::validate)?;
         let scene = KernelScene::with_traversal(arrays, Traversal::Wide);
         let tasks = rays.par_chunks(RAYS_PER_TASK).zip(hits.par_chunks_mut(RAYS_PER_TASK));
         tasks.try_for_each_init(

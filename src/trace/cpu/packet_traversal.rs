@@ -5,8 +5,8 @@
 //! incoherent packets.
 
 use bytemuck::Zeroable;
-use fearless_simd::Simd;
 use fearless_simd::prelude::*;
+use fearless_simd::{Simd, f32x16};
 
 use super::blas_traversal::{ChildVisit, NodeVisitor, Stack, traverse_blas};
 use super::node_test::{NodeTest, NodeTestScratch};
@@ -15,7 +15,7 @@ use super::ray_packet::LocalPacket;
 use super::shear::Shear;
 use super::simd::{F32Lanes, LANES, load, map_axes, splat_axes};
 use super::single_traversal::{SingleScratch, intersect_leaf_single_rays, traverse_single_rays};
-use super::triangle_test::{PlaneOperands, intersect_triangles};
+use super::triangle_test::{PlaneOperands, edge_scale, intersect_triangles};
 use crate::device::layout::{PrimitiveRange, Triangle, WideNode};
 
 /// At or below this many active rays the packet switches to single-ray traversal.
@@ -110,7 +110,7 @@ impl<'a, S: Simd, Q: PacketQuery, N: NodeTest<'a, S>> PacketTraversal<'a, S, Q, 
                 origin: [load(&rays.origins[0]), load(&rays.origins[1]), load(&rays.origins[2])],
                 direction: [load(&rays.directions[0]), load(&rays.directions[1]), load(&rays.directions[2])],
                 corners: [splat_axes(simd, triangle.v0), splat_axes(simd, triangle.v1), splat_axes(simd, triangle.v2)],
-                scale: -shear.minus_scale,
+                edge_scale: f32x16::splat(simd, edge_scale(triangle)),
             },
         );
         let Some((mut hit_lanes, hits)) = hits else { return };

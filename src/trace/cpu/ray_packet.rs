@@ -7,7 +7,7 @@ use fearless_simd::{Simd, f32x16, mask32x16, u32x16};
 use super::shear::{DominantAxes, Shear};
 use super::simd::{F32Lanes, LANES, abs, load, map_axes, max_component, store};
 use crate::device::layout::{InstanceRecord, RayRecord, WideNode};
-use crate::trace::kernel::{MIN_COMPONENT, MIN_RELATIVE_COMPONENT, grid_extent};
+use crate::trace::kernel::{MIN_COMPONENT, MIN_RELATIVE_COMPONENT, SHEARED_EXTENT, grid_extent};
 
 /// A packet in world space, one ray per lane.
 pub(super) struct RayPacket<S: Simd> {
@@ -126,9 +126,9 @@ impl LocalPacket {
         let [i, j, depth] = axes.permute(directions);
         let sheared_origins = axes.permute(origins);
 
-        // Compute the shear as `kernel::shear_ray` does, scaled by a power of two to coordinates of about 1.
+        // Compute the shear as `kernel::shear_ray` does, scaled by a power of two to coordinates of about SHEARED_EXTENT.
         let extents = max_component(abs(origins)).max(f32x16::splat(simd, grid_extent(root)));
-        let scale = reciprocal_power_of_two(simd, extents);
+        let scale = reciprocal_power_of_two(simd, extents * (1.0 / SHEARED_EXTENT));
         let slopes = [-i / depth, -j / depth];
         let shear = Shear {
             minus_scale: (-scale).into(),
@@ -147,7 +147,7 @@ impl LocalPacket {
             shear,
             slopes: [slopes[0].abs().into(), slopes[1].abs().into()],
             sheared_origins: store(sheared_origins),
-            t_to_sheared: (depth.abs() * scale).into(),
+            t_to_sheared: (depth.abs() * scale).min(f32::MAX).into(),
             shear_axes: axes.rows(simd).into(),
             octants: octants.into(),
             is_packet_safe: greatest_products.simd_lt(f32::MAX).to_bitmask() == 0xffff,

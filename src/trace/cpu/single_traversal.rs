@@ -10,7 +10,7 @@ use super::packet_queries::{InstanceGeometry, PacketQuery, QueryLane};
 use super::ray_packet::LocalPacket;
 use super::shear::{Shear, inverse_shear_axes};
 use super::simd::{F32Lanes, LANES, lanes_of, load, map_axes};
-use super::triangle_test::{PlaneOperands, first_four, gather_corners, intersect_triangles, split_corners};
+use super::triangle_test::{PlaneOperands, edge_scale, first_four, gather_corners, intersect_triangles, split_corners};
 use super::wide_node::{child_planes, grid_step, hit_slots, near_far_shuffles, ray_interval};
 use crate::device::layout::{PrimitiveRange, Triangle, WideNode};
 use crate::trace::kernel::{BOX_ENTRY_SCALE, TriangleHit};
@@ -267,7 +267,8 @@ fn intersect_four_triangles<S: Simd>(
                     |axis: usize| splat_lane::<S, f32x4<S>>(simd, &rays.directions[axis], lane),
                 ),
                 corners: [[x[0], y[0], z[0]], [x[1], y[1], z[1]], [x[2], y[2], z[2]]],
-                scale: -splat_lane::<S, f32x4<S>>(simd, &rays.shear.minus_scale, lane),
+                edge_scale: [edge_scale(&four[0]), edge_scale(&four[1]), edge_scale(&four[2]), edge_scale(&four[3])]
+                    .simd_into(simd),
             }
         },
     );

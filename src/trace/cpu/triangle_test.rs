@@ -5,11 +5,14 @@
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x4, f32x16};
+use glam::Vec3;
 
 use super::shear::SHEAR_AXES;
 use super::simd::{abs, map_axes, max_component, min_component};
 use crate::device::layout::Triangle;
-use crate::trace::kernel::{CORNER_TOLERANCE, EDGE_TOLERANCE, SQRT_MAX_QUOTIENT, START_ZONE};
+use crate::trace::kernel::{
+    self, CORNER_TOLERANCE, EDGE_TOLERANCE, SQRT_MAX_QUOTIENT, START_ZONE, reciprocal_power_of_two,
+};
 
 /// Hits, one ray-triangle pair per lane: distances and barycentric weights of the second and third vertex.
 pub(super) struct TriangleHits<V> {
@@ -25,8 +28,8 @@ pub(super) struct PlaneOperands<V> {
     pub(super) origin: [V; 3],
     pub(super) direction: [V; 3],
     pub(super) corners: [[V; 3]; 3],
-    /// The scale of [`ShearRay`](crate::trace::kernel::ShearRay): a power of two that keeps products in range.
-    pub(super) scale: V,
+    /// The power of two that scales the edges of each triangle to about 1, see [`edge_scale`].
+    pub(super) edge_scale: V,
 }
 
 /// For each vertex the greater value of the other two, the ends of the opposite edge.
@@ -138,7 +141,7 @@ fn plane_distances<S: Simd, V: SimdFloat<S, Element = f32>>(
     t: [V; 3],
     weights: [V; 3],
 ) -> V {
-    // Normal, from two edges; the scale keeps its products in range.
+    // Normal, from two edges.
     let [v0, v1, v2] = operands.corners;
     let [_, edge_1, edge_2] = map_axes(
         operands.corners,
@@ -147,7 +150,7 @@ fn plane_distances<S: Simd, V: SimdFloat<S, Element = f32>>(
             map_axes(
                 [0, 1, 2],
                 #[inline(always)]
-                |axis: usize| (v[axis] - v0[axis]) * operands.scale,
+                |axis: usize| (v[axis] - v0[axis]) * operands.edge_scale,
             )
         },
     );
@@ -169,6 +172,13 @@ fn plane_distances<S: Simd, V: SimdFloat<S, Element = f32>>(
     let slope = dot(normal, operands.direction);
     let is_in_plane = (slope.abs() * SQRT_MAX_QUOTIENT).simd_le(height.abs() * (1.0 / SQRT_MAX_QUOTIENT));
     is_in_plane.select(is_first.select(t[0], is_second.select(t[1], t[2])), height / slope)
+}
+
+/// The power of two that scales a triangle's edges to about 1.
+#[inline(always)]
+pub(super) fn edge_scale(triangle: &Triangle) -> f32 {
+    let [v0, v1, v2] = [triangle.v0, triangle.v1, triangle.v2].map(Vec3::from_array);
+    reciprocal_power_of_two(kernel::max_component((v1 - v0).abs().max((v2 - v0).abs())))
 }
 
 #[inline(always)]

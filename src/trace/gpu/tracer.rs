@@ -205,6 +205,7 @@ impl GpuTracer {
 
     /// Traces a batch and reads back one `T` per ray.
     fn trace_batch<T: Pod>(&mut self, entry_point: EntryPoint, rays: &[RayRecord], ray_mask: u32) -> Result<Vec<T>> {
+        rays.iter().try_for_each(RayRecord::validate)?;
         let Self { context, scene, pipelines, batch, .. } = self;
         let bound = scene.bind_group()?;
         if rays.is_empty() {

@@ -65,6 +65,8 @@ pub(crate) const MIN_RELATIVE_COMPONENT: f32 = 1.0 / (1_u128 << 64) as f32;
 pub(crate) const MIN_COMPONENT: f32 = 1.0 / (1_u128 << 120) as f32;
 /// 2^63: a quotient of magnitude up to its square, 2^126, is taken to be finite.
 pub(crate) const SQRT_MAX_QUOTIENT: f32 = (1_u64 << 63) as f32;
+/// About the greatest coordinate of the triangle test: 2^30.
+pub(crate) const SHEARED_EXTENT: f32 = (1 << 30) as f32;
 /// See point 2.
 pub(crate) const CORNER_TOLERANCE: f32 = 1.0 / (1 << 22) as f32;
 /// See point 2.
@@ -88,8 +90,6 @@ pub(crate) struct ShearRay {
     pub x_row: Vec3,
     pub y_row: Vec3,
     pub t_row: Vec3,
-    /// Power of two that scales coordinates to about 1.
-    pub scale: f32,
     /// Factor from t to units of sheared x and y.
     pub t_to_sheared: f32,
     /// The magnitudes of the slopes in `x_row` and `y_row`, before they are scaled: at most 1.
@@ -154,14 +154,14 @@ pub(crate) fn reciprocal_power_of_two(value: f32) -> f32 {
 }
 
 /// Prepares the triangle test. `extent` is the greatest absolute coordinate of the geometry and the origin. Sheared
-/// coordinates are scaled to about 1 by a power of two, exactly: products of two neither overflow nor underflow,
-/// whatever the geometry's unit.
+/// coordinates are scaled by a power of two, exactly, so that the greatest is about [`SHEARED_EXTENT`]: products of two
+/// do not overflow, whatever the geometry's unit, and do not underflow for triangles down to 2^-93 of the extent.
 ///
 /// Besides the slope a row has a 1 (times that power of two) and a 0: a product with either is exact, so that a dot
 /// product rounds as one product and one sum do.
 pub(crate) fn shear_ray(origin: Vec3, direction: Vec3, extent: f32) -> ShearRay {
-    // Find the power of two that brings the greatest coordinate to about 1.
-    let scale = reciprocal_power_of_two(extent);
+    // Find the power of two that brings the greatest coordinate to about SHEARED_EXTENT.
+    let scale = reciprocal_power_of_two(extent * (1.0 / SHEARED_EXTENT));
     // Find the dominant axis of the direction, and the rows of the shear along it.
     let length = direction.abs();
     let (major_component, mut slopes, mut x_row, mut y_row, t_row);
@@ -190,9 +190,9 @@ pub(crate) fn shear_ray(origin: Vec3, direction: Vec3, extent: f32) -> ShearRay 
         slopes.reverse();
     }
     // Apply it to x and y; t keeps the unit of the ray.
-    let t_to_sheared = major_component.abs() * scale;
+    let t_to_sheared = min(major_component.abs() * scale, f32::MAX);
     let slopes = slopes.map(f32::abs);
-    ShearRay { origin, direction, x_row: x_row * scale, y_row: y_row * scale, t_row, scale, t_to_sheared, slopes }
+    ShearRay { origin, direction, x_row: x_row * scale, y_row: y_row * scale, t_row, t_to_sheared, slopes }
 }
 
 /// Intersects the ray's whole line with a triangle; the caller checks [`t_min`, `t_max`]. The point is on the triangle,
@@ -273,8 +273,10 @@ pub(crate) fn intersect_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<
 #[inline]
 pub(crate) fn plane_t(ray: &ShearRay, triangle: &Triangle, t: Vec3, weights: Vec3) -> f32 {
     let [v0, v1, v2] = [triangle.v0, triangle.v1, triangle.v2].map(Vec3::from_array);
-    // Normal, scaled by a power of two.
-    let normal = cross3((v1 - v0) * ray.scale, (v2 - v0) * ray.scale);
+    // Normal, from edges that are scaled to about 1 by a power of two.
+    let (edge_1, edge_2) = (v1 - v0, v2 - v0);
+    let scale = reciprocal_power_of_two(max_component(edge_1.abs().max(edge_2.abs())));
+    let normal = cross3(edge_1 * scale, edge_2 * scale);
     // Vertex with the greatest weight.
     let (corner, corner_t) = if weights.x >= weights.y && weights.x >= weights.z {
         (v0 - ray.origin, t.x)

@@ -25,8 +25,9 @@ mod wide;
 
 pub(crate) use camera::camera_ray;
 pub(crate) use intersect::{
-    BOX_ENTRY_SCALE, CORNER_TOLERANCE, EDGE_TOLERANCE, MIN_COMPONENT, MIN_RELATIVE_COMPONENT, SQRT_MAX_QUOTIENT,
-    START_ZONE, SlabRay, TriangleHit, intersects_box, max_component, shear_ray, slab_ray,
+    BOX_ENTRY_SCALE, CORNER_TOLERANCE, EDGE_TOLERANCE, MIN_COMPONENT, MIN_RELATIVE_COMPONENT, SHEARED_EXTENT,
+    SQRT_MAX_QUOTIENT, START_ZONE, SlabRay, TriangleHit, intersects_box, max_component, reciprocal_power_of_two,
+    shear_ray, slab_ray,
 };
 pub(crate) use light::LightSample;
 #[cfg(test)]
@@ -124,7 +125,7 @@ mod tests {
         }
         let kernel = named! {
             intersect { BOX_ENTRY_SCALE, MIN_RELATIVE_COMPONENT, MIN_COMPONENT, SQRT_MAX_QUOTIENT }
-            intersect { CORNER_TOLERANCE, EDGE_TOLERANCE, START_ZONE }
+            intersect { SHEARED_EXTENT, CORNER_TOLERANCE, EDGE_TOLERANCE, START_ZONE }
             texture { SRGB_LINEAR_END, SRGB_LINEAR_SLOPE, SRGB_SCALE, SRGB_OFFSET }
             texture { SRGB_FIT_6, SRGB_FIT_5, SRGB_FIT_4, SRGB_FIT_3, SRGB_FIT_2, SRGB_FIT_1, SRGB_FIT_0 }
             surface { MIN_COSINE }

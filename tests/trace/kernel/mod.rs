@@ -2,5 +2,6 @@
 
 mod executors;
 mod oracle;
+mod range;
 mod traversals;
 mod watertight;
