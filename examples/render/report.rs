@@ -7,6 +7,7 @@ use std::time::Duration;
 use comfy_table::Table;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use ropewalk::FrameReport;
+use ropewalk::compile::CompileReport;
 use ropewalk::gltf::{ImportCounts, ImportWarning, UnlistedWarnings};
 use serde::{Serialize, Serializer};
 
@@ -85,6 +86,7 @@ impl Report {
             ["instances", &format!("{}, {} triangles", compile.instances, compile.instanced_triangles)],
             ["of these, coinciding with others", &compile.coincident_instances.to_string()],
             ["instances that no ray can hit", &compile.unhittable_instances.to_string()],
+            ["displaced by their shear", &displaced(compile)],
             [
                 "materials, textures, lights",
                 &format!("{}, {}, {}", compile.materials, compile.textures, compile.lights),
@@ -94,6 +96,14 @@ impl Report {
             ["load", &milliseconds(self.load_time)],
         ]);
         table
+    }
+}
+
+/// How many instances f32 displaces, and how far.
+fn displaced(compile: &CompileReport) -> String {
+    match compile.displaced_instances {
+        0 => "0".to_owned(),
+        count => format!("{count}, by up to {:.1e} of their coordinates", compile.greatest_displacement),
     }
 }
 

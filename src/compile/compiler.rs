@@ -239,7 +239,7 @@ impl Compiler {
         self.update_assets(scene, &changes, resumes, &mut report)?;
         // 4. Write instance and light records relative to the render origin; again if the origin moves to the focus.
         self.write_records(scene, hierarchy, &mut report)?;
-        // The boxes by which the origin is chosen are as coarse as f32 is where they are: the first may not be the best.
+        // The boxes by which the origin is chosen are as coarse as f32 is where they are: the first may not do.
         for _ in 0..MAX_REBASES {
             if !must_rebase(focus, self.origin, &self.arrays.tlas_nodes) {
                 break;
@@ -442,6 +442,8 @@ impl Compiler {
         report.instances = totals.instances;
         report.coincident_instances = self.bounds.coincident_count();
         report.unhittable_instances = totals.unhittable_instances;
+        report.displaced_instances = totals.displaced_instances;
+        report.greatest_displacement = self.instances.greatest_displacement();
         report.unique_triangles = self.geometries.triangle_count();
         report.instanced_triangles = totals.triangles;
         report.materials = self.materials.len();

@@ -21,8 +21,8 @@ pub(super) struct InstanceBounds {
 }
 
 impl InstanceBounds {
-    /// Sets the box and the hash of the matrix of a slot whose record has been written; `record_changed` says whether it
-    /// is another one than before. New slots between the last one and this get empty boxes.
+    /// Sets the box and the hash of the matrix of a slot whose record has been written; `record_changed` says whether
+    /// that is another one than before. New slots between the last one and this get empty boxes.
     pub(super) fn set(&mut self, slot: u32, bounds: Aabb, placement_hash: u64, record_changed: bool) {
         let index = slot as usize;
         if index >= self.boxes.len() {

@@ -51,6 +51,7 @@ pub(super) fn instance_record(member: &Member, inputs: &RecordInputs<'_>) -> Com
         record: transform.instance_record(indices, mask, flags, member.node),
         bounds: transform.bounds,
         placement_hash: hash(&world_from_local),
+        displacement: transform.displacement,
         triangle_count: geometry.triangle_count(),
     }
 }

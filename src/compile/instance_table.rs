@@ -30,6 +30,8 @@ pub(super) struct CompiledInstance {
     pub(super) bounds: Aabb,
     /// A hash of the matrix in f64.
     pub(super) placement_hash: u64,
+    /// How far f32 displaces it, relative to its coordinates.
+    pub(super) displacement: f64,
     /// Triangles of the geometry, whether they can be hit or not.
     pub(super) triangle_count: usize,
 }
@@ -37,7 +39,13 @@ pub(super) struct CompiledInstance {
 impl CompiledInstance {
     /// A zero record, without a box.
     pub(super) fn unhittable(triangle_count: usize) -> Self {
-        Self { record: InstanceRecord::zeroed(), bounds: Aabb::EMPTY, placement_hash: 0, triangle_count }
+        Self {
+            record: InstanceRecord::zeroed(),
+            bounds: Aabb::EMPTY,
+            placement_hash: 0,
+            displacement: 0.0,
+            triangle_count,
+        }
     }
 }
 
@@ -62,6 +70,8 @@ struct InstanceSlot {
     is_stale: bool,
     /// Whether a ray can hit the instance, as counted in the totals.
     is_hittable: bool,
+    /// How far f32 displaces the instance, relative to its coordinates.
+    displacement: f64,
     /// Triangles of the instance's geometry, as counted in the totals, whether they can be hit or not.
     triangle_count: usize,
 }
@@ -74,9 +84,14 @@ pub(super) struct InstanceTotals {
     /// Instances that no ray can hit although they have triangles: their matrix scales two axes to zero or does
     /// not fit f32, or all their triangles are degenerate.
     pub(super) unhittable_instances: usize,
+    /// Those that f32 displaces by more than [`MAX_DISPLACEMENT`] of their coordinates.
+    pub(super) displaced_instances: usize,
     /// Triangles of the instances that can be hit.
     pub(super) triangles: usize,
 }
+
+/// What f32 displaces by more than this, relative to its coordinates, is reported: 2^-20.
+const MAX_DISPLACEMENT: f64 = 1.0 / (1 << 20) as f64;
 
 /// Adding, exchanging and removing members.
 impl InstanceTable {
@@ -256,6 +271,7 @@ impl InstanceTable {
         let state = &mut self.slots[slot as usize];
         self.totals.remove(state);
         (state.is_hittable, state.triangle_count) = (!instance.bounds.is_empty(), instance.triangle_count);
+        state.displacement = instance.displacement;
         self.totals.add(state);
     }
 
@@ -275,6 +291,15 @@ impl InstanceTable {
         self.totals
     }
 
+    /// How far f32 displaces an instance at most, relative to its coordinates; 0 if that is not worth a report. O(1),
+    /// O(slots) if there are such instances.
+    pub(super) fn greatest_displacement(&self) -> f64 {
+        if self.totals.displaced_instances == 0 {
+            return 0.0;
+        }
+        self.slots.iter().filter(|slot| slot.is_hittable).map(|slot| slot.displacement).fold(0.0, f64::max)
+    }
+
     /// The member of a slot; `None` for an unused one.
     pub(super) fn member(&self, slot: u32) -> Option<&Member> {
         self.slots.get(slot as usize)?.member.as_ref()
@@ -285,6 +310,7 @@ impl InstanceTotals {
     fn add(&mut self, slot: &InstanceSlot) {
         if slot.is_hittable {
             self.instances += 1;
+            self.displaced_instances += usize::from(slot.displacement > MAX_DISPLACEMENT);
             self.triangles += slot.triangle_count;
         } else if slot.triangle_count > 0 {
             self.unhittable_instances += 1;
@@ -294,6 +320,7 @@ impl InstanceTotals {
     fn remove(&mut self, slot: &InstanceSlot) {
         if slot.is_hittable {
             self.instances -= 1;
+            self.displaced_instances -= usize::from(slot.displacement > MAX_DISPLACEMENT);
             self.triangles -= slot.triangle_count;
         } else if slot.triangle_count > 0 {
             self.unhittable_instances -= 1;

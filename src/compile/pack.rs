@@ -1,6 +1,6 @@
 //! Pure functions from scene-graph values to device records, one for each record type.
 
-use glam::{DAffine3, DVec3, Vec4};
+use glam::{DAffine3, DMat3, DVec3, Vec4};
 use slotmap::Key as _;
 
 use crate::accel::SupportFunction;
@@ -16,6 +16,8 @@ pub(super) struct InstanceTransform {
     world_from_local: [[f32; 4]; 3],
     /// The box around the instance in that world space.
     pub(super) bounds: Aabb,
+    /// See [`displacement`].
+    pub(super) displacement: f64,
 }
 
 impl InstanceTransform {
@@ -26,7 +28,8 @@ impl InstanceTransform {
     /// Rays are transformed by the f32-rounded `local_from_world`, so what is seen is the geometry under the inverse of
     /// that, and the box is computed from it. The box is then widened by the rounding of the ray transform: each local
     /// coordinate of a point x is off by less than 4 ulp of `|local_from_world| |x| + |translation|`, which is mapped
-    /// back to world space.
+    /// back to world space. That holds what the scene has too, for exact queries, unless the matrix is so ill
+    /// conditioned that the inverse of the rounded one is another: then the box is around both.
     pub(super) fn new(world_from_local: &DAffine3, origin: DVec3, support: &SupportFunction) -> Option<Self> {
         // 1. Relative to the render origin.
         let relative = relative_to(world_from_local, origin)?;
@@ -41,7 +44,11 @@ impl InstanceTransform {
         }
 
         // 4. Its box, widened by the rounding of the ray transform.
-        let world = support.world_bounds(&world_from_rounded_local);
+        let displacement = displacement(&world_from_rounded_local.matrix3, &rounded_local_from_world.matrix3);
+        let mut world = support.world_bounds(&world_from_rounded_local);
+        if displacement > MAX_FIRST_ORDER_DISPLACEMENT {
+            world = world.union(support.world_bounds(&relative));
+        }
         let corner = world.min.abs().max(world.max.abs());
         let local_error = rounded_local_from_world.matrix3.abs() * corner + rounded_local_from_world.translation.abs();
         let rounding_margin = world_from_rounded_local.matrix3.abs() * local_error * (4.0 * f64::from(f32::EPSILON));
@@ -52,6 +59,7 @@ impl InstanceTransform {
             local_from_world: affine_rows(&local_from_world),
             world_from_local: affine_rows(&world_from_local),
             bounds,
+            displacement,
         })
     }
 
@@ -86,6 +94,21 @@ impl InstanceTransform {
             node_key: [key as u32, (key >> 32) as u32],
         }
     }
+}
+
+/// A displacement beyond which terms of second order matter: 2^-8.
+const MAX_FIRST_ORDER_DISPLACEMENT: f64 = 1.0 / 256.0;
+
+/// Bounds how far a point of an instance is drawn from where the scene has it, relative to its coordinates and those of
+/// the instance's own origin, both relative to the render origin: each number of `local_from_world` is rounded by
+/// 2^-24 of itself, which the inverse enlarges. That is 2^-22 or less for what is turned and then scaled along its own
+/// axes, and grows with the ratio of the scales where it is turned before too (the condition number of R. Skeel,
+/// *Scaling for Numerical Stability in Gaussian Elimination*, 1979).
+fn displacement(world_from_local: &DMat3, local_from_world: &DMat3) -> f64 {
+    let products = world_from_local.abs() * local_from_world.abs();
+    let rows = products.transpose();
+    let greatest = [rows.x_axis, rows.y_axis, rows.z_axis].map(DVec3::element_sum).into_iter().fold(0.0, f64::max);
+    greatest / f64::from(1 << 24)
 }
 
 /// The matrix relative to the render origin, with a [least thickness](with_least_thickness) along an axis that it

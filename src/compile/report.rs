@@ -46,6 +46,14 @@ pub struct CompileReport {
     /// Visible instances with triangles that no ray can hit: their matrix scales two axes to zero or is beyond
     /// f32, or all their triangles are degenerate.
     pub unhittable_instances: usize,
+    /// Visible instances that frames and batches show farther than 2^-20 of their distance to the render origin from
+    /// where the scene has them, since their matrix shears: it scales unevenly, by a hundred and more, something that
+    /// is turned both before and after. Exact queries are not displaced. Where that matters, apply the scale to the
+    /// vertices instead.
+    pub displaced_instances: usize,
+    /// A bound of the greatest such displacement, relative to the coordinates of a point and of its instance's origin,
+    /// both relative to the render origin; 0 without displaced instances.
+    pub greatest_displacement: f64,
     /// Triangles of the geometries in use, each geometry counted once.
     pub unique_triangles: usize,
     /// Triangles of all instances that can be hit: those of a geometry count once for each instance.

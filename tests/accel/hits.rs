@@ -68,9 +68,11 @@ fn trace(arrays: &mut DeviceArrays, rays: &[RayRecord]) -> Vec<HitRecord> {
 /// Compares hits with the oracle in f64, and, where the oracle is sure, bit for bit with brute force by the same
 /// kernel.
 fn check(name: &str, mesh: &Mesh, params: &BlasBuildParams, rays: &[RayRecord]) {
+    // Executors refuse rays without a direction, as there are some at a mesh of one point.
+    let rays: Vec<RayRecord> = rays.iter().filter(|ray| ray.validate().is_ok()).copied().collect();
     let mut built = built(std::slice::from_ref(mesh), &[Placed::new(0, DAffine3::IDENTITY)], params);
-    let hits = trace(&mut built, rays);
-    let brute_hits = trace(&mut brute_force(&built), rays);
+    let hits = trace(&mut built, &rays);
+    let brute_hits = trace(&mut brute_force(&built), &rays);
     let truth: Vec<_> = rays.par_iter().map(|ray| candidates(&built, ray, 1)).collect();
 
     let (mut sure, mut hit_count) = (0, 0);

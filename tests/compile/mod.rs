@@ -5,4 +5,5 @@ mod coincident;
 mod compiler;
 mod cores;
 mod deformation;
+mod sheared;
 mod walls;

@@ -126,7 +126,7 @@ impl LocalPacket {
         let [i, j, depth] = axes.permute(directions);
         let sheared_origins = axes.permute(origins);
 
-        // Compute the shear as `kernel::shear_ray` does, scaled by a power of two to coordinates of about SHEARED_EXTENT.
+        // Compute the shear as `kernel::shear_ray` does, scaled by a power of two to coordinates up to SHEARED_EXTENT.
         let extents = max_component(abs(origins)).max(f32x16::splat(simd, grid_extent(root)));
         let scale = reciprocal_power_of_two(simd, extents * (1.0 / SHEARED_EXTENT));
         let slopes = [-i / depth, -j / depth];
