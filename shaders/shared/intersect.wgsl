@@ -20,6 +20,8 @@ struct SlabRay {
 struct ShearRay {
     origin: vec3<f32>,
     direction: vec3<f32>,
+    // That of the slab test.
+    reciprocal_direction: vec3<f32>,
     x_row: vec3<f32>,
     y_row: vec3<f32>,
     t_row: vec3<f32>,
@@ -74,7 +76,7 @@ fn reciprocal_power_of_two(value: f32) -> f32 {
     return bitcast<f32>((254u - exponent) << 23u);
 }
 
-fn shear_ray(origin: vec3<f32>, direction: vec3<f32>, extent: f32) -> ShearRay {
+fn shear_ray(slab: SlabRay, direction: vec3<f32>, extent: f32) -> ShearRay {
     let scale = reciprocal_power_of_two(extent * (1.0 / SHEARED_EXTENT));
     // Find the dominant axis of the direction, and the rows of the shear along it.
     let length = abs(direction);
@@ -111,7 +113,9 @@ fn shear_ray(origin: vec3<f32>, direction: vec3<f32>, extent: f32) -> ShearRay {
     }
     // Apply it to x and y; t keeps the unit of the ray.
     let t_to_sheared = min(abs(major_component) * scale, F32_MAX);
-    return ShearRay(origin, direction, x_row * scale, y_row * scale, t_row, t_to_sheared, abs(slopes));
+    let recip = slab.reciprocal_direction;
+    return ShearRay(
+        slab.origin, direction, recip, x_row * scale, y_row * scale, t_row, t_to_sheared, abs(slopes));
 }
 
 fn intersect_triangle(ray: ShearRay, triangle: Triangle) -> TriangleHit {
@@ -174,6 +178,7 @@ fn intersect_triangle(ray: ShearRay, triangle: Triangle) -> TriangleHit {
     if is_outside && t_hit >= 0.0 {
         t_hit = dot3(weights, t);
     }
+    t_hit = clamp_to_box(ray, triangle, t_hit);
     t_hit = min(max(t_hit, min_component(t)), max_component(t));
     // Near the ray's start the tolerance admits nothing (point 2).
     let start_zone = START_ZONE * (max_component(z) + (x_extent + y_extent));
@@ -181,6 +186,17 @@ fn intersect_triangle(ray: ShearRay, triangle: Triangle) -> TriangleHit {
         return TriangleHit();
     }
     return TriangleHit(t_hit, weights.y, weights.z, back, true);
+}
+
+// Clamps t to the interval in which the ray is within the triangle's box (point 6), as the slab test computes it.
+fn clamp_to_box(ray: ShearRay, triangle: Triangle, t: f32) -> f32 {
+    let least = min(min(triangle.v0, triangle.v1), triangle.v2);
+    let greatest = max(max(triangle.v0, triangle.v1), triangle.v2);
+    let a = (least - ray.origin) * ray.reciprocal_direction;
+    let b = (greatest - ray.origin) * ray.reciprocal_direction;
+    let near = min(a, b);
+    let far = max(a, b);
+    return max(min(t, min_component(far)), max_component(near));
 }
 
 // t at the triangle's plane (point 5). If the ray lies in the plane, t of the vertex with the greatest weight. `t`

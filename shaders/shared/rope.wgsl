@@ -92,7 +92,7 @@ fn enter_instance(state: ptr<function, TraversalState>, index: u32) {
     // Prepare the triangle test.
     let root = blas_node_at((*state).first_node);
     let extent = max_component(max(max(abs(root.min), abs(root.max)), abs(origin)));
-    (*state).local_shear = shear_ray(origin, direction, extent);
+    (*state).local_shear = shear_ray((*state).level_ray, direction, extent);
 }
 
 fn leave_instance(state: ptr<function, TraversalState>) {

@@ -198,7 +198,7 @@ fn enter_instance(state: ptr<function, TraversalState>, index: u32, t_max: f32) 
     (*state).tlas_stack_size = (*state).stack_size;
     let root = (*state).first_node;
     let extent = grid_extent(wide_node_at(root).origin, wide_node_at(root).exponents);
-    (*state).local_shear = shear_ray(origin, direction, max(extent, max_component(abs(origin))));
+    (*state).local_shear = shear_ray((*state).level_ray, direction, max(extent, max_component(abs(origin))));
     visit_wide_node(state, 0u, t_max);
 }
 

@@ -245,7 +245,7 @@ impl TreeQueries<'_> {
         counter.read(instance);
         // Prepare the triangle test.
         let [min, max] = [root.node.min, root.node.max].map(|corner| Vec3::from_array(corner).abs());
-        ray.local_shear = shear_ray(origin, direction, max_component(min.max(max).max(origin.abs())));
+        ray.local_shear = shear_ray(&ray.level_ray, direction, max_component(min.max(max).max(origin.abs())));
         // Descend, and test the triangles of each leaf.
         traverse(root, &ray.level_ray, ray.t_min, query.t_max(), counter, &mut |leaf, counter| {
             if !query.skips_instance(ray.flags) {

@@ -71,26 +71,31 @@ fn grazing(mesh: &Mesh, angle: f32, random: &mut Random, count: usize) -> Vec<Ra
     (0..count).map(ray).collect()
 }
 
-/// By the angle at which rays graze, how many of 20,000 may differ where the triangles lie in the plane of two axes,
-/// and where they do not: there the rounding of t grows with the angle's inverse, until hits are found in another
-/// order.
-const ANGLES: [(f32, [usize; 2]); 6] =
-    [(1.0, [0, 0]), (1e-1, [0, 0]), (1e-2, [0, 0]), (1e-3, [0, 0]), (1e-4, [0, 40]), (1e-6, [0, 400])];
+/// The angles at which rays graze, in radians.
+const ANGLES: [f32; 6] = [1.0, 1e-1, 1e-2, 1e-3, 1e-4, 1e-6];
+
+/// How many of 20,000 grazing rays may differ: none, but where parts of a triangle lie in several leaves (a kd-tree),
+/// and the triangles do not lie in the plane of two axes: there the rounding of t grows with the angle's inverse, until
+/// a leaf is left out although t lies before another hit.
+fn most_differing(by: &str, angle: f32, is_turned: bool) -> usize {
+    if by.starts_with("KdTree") && angle <= 1e-4 && is_turned { 20 } else { 0 }
+}
 
 #[test]
 fn grazing_rays_hit_the_same_by_every_structure_and_executor() {
     let turn = Mat3::from_quat(Quat::from_axis_angle(Vec3::new(1.0, 2.0, 3.0).normalize(), 1.0));
     let mut random = Random::new(7);
     let mut compared = 0;
-    for (i, turn) in [Mat3::IDENTITY, turn].into_iter().enumerate() {
-        for (angle, most) in ANGLES {
+    for (is_turned, turn) in [(false, Mat3::IDENTITY), (true, turn)] {
+        for angle in ANGLES {
             let mesh = turned(grid(16, 16, 1, 0.0).scaled(0.06), turn);
             let rays = grazing(&mesh, angle, &mut random, 20_000);
             let all = hits(&mesh, &rays);
             let expected = &all[0].1;
             for (by, hits) in &all[1..] {
                 let differing = expected.iter().zip(hits).filter(|(a, b)| seen(a) != seen(b)).count();
-                assert!(differing <= most[i], "{by} at {angle} rad, turned: {i}: {differing} differ");
+                let most = most_differing(by, angle, is_turned);
+                assert!(differing <= most, "{by} at {angle} rad, turned: {is_turned}: {differing} differ");
                 compared += hits.iter().filter(|hit| hit.instance != NONE).count();
             }
         }

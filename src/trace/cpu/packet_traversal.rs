@@ -109,6 +109,7 @@ impl<'a, S: Simd, Q: PacketQuery, N: NodeTest<'a, S>> PacketTraversal<'a, S, Q, 
             || PlaneOperands {
                 origin: [load(&rays.origins[0]), load(&rays.origins[1]), load(&rays.origins[2])],
                 direction: [load(&rays.directions[0]), load(&rays.directions[1]), load(&rays.directions[2])],
+                reciprocals: [load(&rays.reciprocals[0]), load(&rays.reciprocals[1]), load(&rays.reciprocals[2])],
                 corners: [splat_axes(simd, triangle.v0), splat_axes(simd, triangle.v1), splat_axes(simd, triangle.v2)],
                 edge_scale: f32x16::splat(simd, edge_scale(triangle)),
             },

@@ -266,6 +266,11 @@ fn intersect_four_triangles<S: Simd>(
                     #[inline(always)]
                     |axis: usize| splat_lane::<S, f32x4<S>>(simd, &rays.directions[axis], lane),
                 ),
+                reciprocals: map_axes(
+                    [0, 1, 2],
+                    #[inline(always)]
+                    |axis: usize| splat_lane::<S, f32x4<S>>(simd, &rays.reciprocals[axis], lane),
+                ),
                 corners: [[x[0], y[0], z[0]], [x[1], y[1], z[1]], [x[2], y[2], z[2]]],
                 edge_scale: [edge_scale(&four[0]), edge_scale(&four[1]), edge_scale(&four[2]), edge_scale(&four[3])]
                     .simd_into(simd),

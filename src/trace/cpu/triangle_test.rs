@@ -27,6 +27,7 @@ pub(super) struct TriangleHits<V> {
 pub(super) struct PlaneOperands<V> {
     pub(super) origin: [V; 3],
     pub(super) direction: [V; 3],
+    pub(super) reciprocals: [V; 3],
     pub(super) corners: [[V; 3]; 3],
     /// The power of two that scales the edges of each triangle to about 1, see [`edge_scale`].
     pub(super) edge_scale: V,
@@ -120,12 +121,14 @@ pub(super) fn intersect_triangles<S: Simd, V: SimdFloat<S, Element = f32>>(
     );
 
     // 4. Compute the distance along the plane or, outside an edge, along the edge; clamp it to the vertices' t.
-    let mut t_hit = plane_distances(&plane(), t, w);
+    let plane = plane();
+    let mut t_hit = plane_distances(&plane, t, w);
     if is_outside.to_bitmask() & hit_lanes != 0 {
         let is_ahead = is_outside & t_hit.simd_ge(zero);
         t_hit = is_ahead.select((w[0] * t[0] + w[1] * t[1]) + w[2] * t[2], t_hit);
     }
-    let t_hit = t_hit.max(min_component(t)).min(max_component(t));
+    let [entry, exit] = box_interval(&plane);
+    let t_hit = t_hit.min(exit).max(entry).max(min_component(t)).min(max_component(t));
     // Near the ray's start the tolerance admits nothing.
     let start_zone = (max_component(z) + (x_extent + y_extent)) * START_ZONE;
     let at_start = is_outside & (t_hit.abs() * t_to_sheared).simd_le(start_zone);
@@ -172,6 +175,24 @@ fn plane_distances<S: Simd, V: SimdFloat<S, Element = f32>>(
     let slope = dot(normal, operands.direction);
     let is_in_plane = (slope.abs() * SQRT_MAX_QUOTIENT).simd_le(height.abs() * (1.0 / SQRT_MAX_QUOTIENT));
     is_in_plane.select(is_first.select(t[0], is_second.select(t[1], t[2])), height / slope)
+}
+
+/// The intervals of t in which the rays are within the triangles' boxes: what the kernel's `clamp_to_box` clamps to.
+#[inline(always)]
+fn box_interval<S: Simd, V: SimdFloat<S, Element = f32>>(operands: &PlaneOperands<V>) -> [V; 2] {
+    let [v0, v1, v2] = operands.corners;
+    let planes = map_axes(
+        [0, 1, 2],
+        #[inline(always)]
+        |axis: usize| {
+            let (origin, reciprocal) = (operands.origin[axis], operands.reciprocals[axis]);
+            let a = (v0[axis].min(v1[axis]).min(v2[axis]) - origin) * reciprocal;
+            let b = (v0[axis].max(v1[axis]).max(v2[axis]) - origin) * reciprocal;
+            [a.min(b), a.max(b)]
+        },
+    );
+    let [x, y, z] = planes;
+    [max_component([x[0], y[0], z[0]]), min_component([x[1], y[1], z[1]])]
 }
 
 /// The power of two that scales a triangle's edges to about 1.

@@ -51,6 +51,12 @@
 //!    interpolated along the edge: its plane may be crossed far from the triangle, and at a ridge the plane of the face
 //!    behind before that of the face in front. A plane behind the ray's start stays there, so that a ray that leaves a
 //!    surface does not meet its coplanar neighbours.
+//! 6. **Order.** The closest hit must not depend on which of two hits is found first: a hit at t must not lie in a box
+//!    that is entered only behind another hit at a greater t. Rounding, as of a plane that the ray grazes or of a
+//!    corner far away, may take t there. So t is clamped to the interval in which the ray is within the triangle's own
+//!    box, by the operations of the slab test: these are monotonic, so every box around the triangle is entered at or
+//!    before t and left at or behind it. A box around a part of the triangle (spatial splits, kd-tree) is not around
+//!    the rest: there a hit may still be missed where the error of t exceeds what `T_BEFORE_SCALE` allows (`query.rs`).
 
 use glam::Vec3;
 
@@ -87,6 +93,8 @@ pub(crate) struct SlabRay {
 pub(crate) struct ShearRay {
     pub origin: Vec3,
     pub direction: Vec3,
+    /// That of the slab test.
+    pub reciprocal_direction: Vec3,
     pub x_row: Vec3,
     pub y_row: Vec3,
     pub t_row: Vec3,
@@ -153,13 +161,15 @@ pub(crate) fn reciprocal_power_of_two(value: f32) -> f32 {
     f32::from_bits((254 - exponent) << 23)
 }
 
-/// Prepares the triangle test. `extent` is the greatest absolute coordinate of the geometry and the origin. Sheared
-/// coordinates are scaled by a power of two, exactly, so that the greatest is about [`SHEARED_EXTENT`]: products of two
-/// do not overflow, whatever the geometry's unit, and do not underflow for triangles down to 2^-93 of the extent.
+/// Prepares the triangle test of a ray whose slab test is prepared. `extent` is the greatest absolute coordinate of the
+/// geometry and the origin. Sheared coordinates are scaled by a power of two, exactly, so that the greatest is about
+/// [`SHEARED_EXTENT`]: products of two do not overflow, whatever the geometry's unit, and do not underflow for triangles
+/// down to 2^-93 of the extent.
 ///
 /// Besides the slope a row has a 1 (times that power of two) and a 0: a product with either is exact, so that a dot
 /// product rounds as one product and one sum do.
-pub(crate) fn shear_ray(origin: Vec3, direction: Vec3, extent: f32) -> ShearRay {
+pub(crate) fn shear_ray(slab: &SlabRay, direction: Vec3, extent: f32) -> ShearRay {
+    let SlabRay { origin, reciprocal_direction } = *slab;
     // Find the power of two that brings the greatest coordinate to about SHEARED_EXTENT.
     let scale = reciprocal_power_of_two(extent * (1.0 / SHEARED_EXTENT));
     // Find the dominant axis of the direction, and the rows of the shear along it.
@@ -192,7 +202,8 @@ pub(crate) fn shear_ray(origin: Vec3, direction: Vec3, extent: f32) -> ShearRay 
     // Apply it to x and y; t keeps the unit of the ray.
     let t_to_sheared = min(major_component.abs() * scale, f32::MAX);
     let slopes = slopes.map(f32::abs);
-    ShearRay { origin, direction, x_row: x_row * scale, y_row: y_row * scale, t_row, t_to_sheared, slopes }
+    let (x_row, y_row) = (x_row * scale, y_row * scale);
+    ShearRay { origin, direction, reciprocal_direction, x_row, y_row, t_row, t_to_sheared, slopes }
 }
 
 /// Intersects the ray's whole line with a triangle; the caller checks [`t_min`, `t_max`]. The point is on the triangle,
@@ -259,6 +270,7 @@ pub(crate) fn intersect_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<
     // ray's start stays there.
     let t_plane = plane_t(ray, triangle, t, weights);
     let t_hit = if is_outside && t_plane >= 0.0 { dot3(weights, t) } else { t_plane };
+    let t_hit = clamp_to_box(ray, triangle, t_hit);
     let t_hit = min(max(t_hit, min_component(t)), max_component(t));
     // Near the ray's start the tolerance admits nothing (point 2).
     let start_zone = START_ZONE * (max_component(z) + (x_extent + y_extent));
@@ -266,6 +278,19 @@ pub(crate) fn intersect_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<
         return None;
     }
     Some(TriangleHit { t: t_hit, u: weights.y, v: weights.z, back })
+}
+
+/// Clamps t to the interval in which the ray is within the triangle's box (point 6), as the slab test computes it.
+#[inline]
+fn clamp_to_box(ray: &ShearRay, triangle: &Triangle, t: f32) -> f32 {
+    let [v0, v1, v2] = [triangle.v0, triangle.v1, triangle.v2].map(Vec3::from_array);
+    let least = Vec3::new(min(min(v0.x, v1.x), v2.x), min(min(v0.y, v1.y), v2.y), min(min(v0.z, v1.z), v2.z));
+    let greatest = Vec3::new(max(max(v0.x, v1.x), v2.x), max(max(v0.y, v1.y), v2.y), max(max(v0.z, v1.z), v2.z));
+    let a = (least - ray.origin) * ray.reciprocal_direction;
+    let b = (greatest - ray.origin) * ray.reciprocal_direction;
+    let entry = max(max(min(a.x, b.x), min(a.y, b.y)), min(a.z, b.z));
+    let exit = min(min(max(a.x, b.x), max(a.y, b.y)), max(a.z, b.z));
+    max(min(t, exit), entry)
 }
 
 /// t at the triangle's plane (point 5). If the ray lies in the plane, t of the vertex with the greatest weight. `t`
@@ -304,6 +329,10 @@ mod tests {
         Triangle::new([v0, v1, v2].map(|v| v.to_array()), 0)
     }
 
+    fn sheared(origin: Vec3, direction: Vec3, extent: f32) -> ShearRay {
+        shear_ray(&slab_ray(origin, direction), direction, extent)
+    }
+
     /// Directions to the neighbours of a cell, in each of which the winding must come out right.
     fn directions() -> impl Iterator<Item = Vec3> {
         let steps = [-1.0, 0.0, 1.0];
@@ -318,7 +347,7 @@ mod tests {
         let center = (corners[0] + corners[1] + corners[2]) / 3.0;
         let mut backs = 0;
         for direction in directions().filter(|d| dot3(*d, normal).abs() > 0.1) {
-            let ray = shear_ray(center - direction * 4.0, direction, 8.0);
+            let ray = sheared(center - direction * 4.0, direction, 8.0);
             let crossing = intersect_triangle(&ray, &triangle(corners)).expect("it aims at the centre");
             assert!((crossing.t - 4.0).abs() < 1e-5 && (crossing.u - 1.0 / 3.0).abs() < 1e-5, "{direction}");
             assert_eq!(crossing.back, dot3(direction, normal) > 0.0, "{direction}");
@@ -402,7 +431,7 @@ mod tests {
             let (corners, origin, direction) = aimed(&mut random, i / 45 % 2 == 0, [thickness, slope, away]);
             let (corners, origin) = (corners.map(|v| v * scale), origin * scale);
             let extent = corners.iter().fold(max_component(origin.abs()), |m, v| max(m, max_component(v.abs())));
-            let ray = shear_ray(origin, direction * scale, extent);
+            let ray = sheared(origin, direction * scale, extent);
             let Some(hit) = intersect_triangle(&ray, &triangle(corners)) else { continue };
             // Check that the hit lies between the vertices.
             let depths = Vec3::from_array(corners.map(|v| dot3(ray.t_row, v - origin)));
@@ -455,7 +484,7 @@ mod tests {
             let along = random.in_cube().reject_from(normal).normalize_or(normal.any_orthonormal_vector());
             let origin = at + normal * height + random.in_cube().reject_from(normal) * height;
             let direction = along + normal * 10f32.powf(-3.0 * random.next());
-            match intersect_triangle(&shear_ray(origin, direction, side), &triangle(corners)) {
+            match intersect_triangle(&sheared(origin, direction, side), &triangle(corners)) {
                 Some(hit) => {
                     assert!(hit.t < 0.0, "{corners:?} from {origin} along {direction}, {height} above: {}", hit.t);
                     behind += 1;
@@ -479,7 +508,7 @@ mod tests {
             let origin = (random.in_cube() * 3.0 * size).with_y(height);
             let rise = size * 10f32.powf(-3.0 - 6.0 * random.next());
             let direction = (target - origin).with_y(rise);
-            let hit = intersect_triangle(&shear_ray(origin, direction, 3.0 * size), &triangle(corners));
+            let hit = intersect_triangle(&sheared(origin, direction, 3.0 * size), &triangle(corners));
             let t = hit.map_or(f32::NEG_INFINITY, |hit| hit.t);
             assert!(t < 0.0, "{corners:?} from {origin} along {direction}: {t}");
             behind += usize::from(t.is_finite());
@@ -491,7 +520,7 @@ mod tests {
     fn triangles_without_area_are_not_met() {
         let [a, b] = [Vec3::new(-1.0, -1.0, 0.0), Vec3::new(1.0, 1.0, 0.0)];
         for direction in directions() {
-            let ray = shear_ray(-2.0 * direction, direction, 4.0);
+            let ray = sheared(-2.0 * direction, direction, 4.0);
             for corners in [[a, b, b], [a, a, a], [a, Vec3::ZERO, b], [Vec3::ZERO; 3]] {
                 assert!(intersect_triangle(&ray, &triangle(corners)).is_none(), "{corners:?} along {direction}");
             }
@@ -502,7 +531,7 @@ mod tests {
     fn nothing_is_met_without_a_direction() {
         let corners = [Vec3::new(-1.0, -1.0, 1.0), Vec3::new(1.0, -1.0, 1.0), Vec3::new(0.0, 1.0, 1.0)];
         for direction in [Vec3::ZERO, Vec3::NAN, Vec3::INFINITY] {
-            assert!(intersect_triangle(&shear_ray(Vec3::ZERO, direction, 1.0), &triangle(corners)).is_none());
+            assert!(intersect_triangle(&sheared(Vec3::ZERO, direction, 1.0), &triangle(corners)).is_none());
         }
     }
 

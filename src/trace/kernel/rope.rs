@@ -46,7 +46,7 @@ impl<C: TraversalCounter> RopeTraversal<C> {
         // Prepare the triangle test.
         let root = &scene.blas_nodes[self.first_node as usize];
         let root_extent = max(max_abs(root.min), max_abs(root.max));
-        self.ray.local_shear = shear_ray(origin, direction, max(root_extent, max_component(origin.abs())));
+        self.ray.local_shear = shear_ray(&self.ray.level_ray, direction, max(root_extent, max_component(origin.abs())));
     }
 }
 

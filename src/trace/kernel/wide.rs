@@ -215,7 +215,8 @@ impl<C: TraversalCounter> WideTraversal<C> {
         self.tlas_stack_size = self.stack_size;
         let root = self.visit_wide_node(scene, 0, t_max);
         // Prepare the triangle test.
-        self.ray.local_shear = shear_ray(origin, direction, max(grid_extent(root), max_component(origin.abs())));
+        self.ray.local_shear =
+            shear_ray(&self.ray.level_ray, direction, max(grid_extent(root), max_component(origin.abs())));
     }
 
     /// Tests the eight children of a wide node and makes the hit ones pending.
