@@ -134,10 +134,8 @@ fn a_closed_cube_stays_closed_without_the_triangles_that_fill_its_edges() {
     }
 }
 
-/// Exact queries project corners with the rounding of f64: only a ray that meets a T-junction to within that rounding
-/// may pass between the triangles on its two sides.
 #[test]
-fn exact_queries_leave_the_cube_through_no_more_than_the_rounding_of_f64() {
+fn exact_queries_do_not_leave_the_cube() {
     let mut random = Random::new(2);
     let cube = cube_with_fillers(&mut random);
     let rays = rays_from_inside(&cube, &mut random, 20_000);
@@ -145,20 +143,15 @@ fn exact_queries_leave_the_cube_through_no_more_than_the_rounding_of_f64() {
     for structure in STRUCTURES {
         let (mut scene, mut compiler) = compiled(mesh, structure);
         let queries = Queries::new(&mut compiler, &mut scene).unwrap();
-        let (mut escaped, mut fillers_hit) = ([0; 3], 0);
-        for (i, ray) in rays.iter().enumerate() {
+        let mut fillers_hit = 0;
+        for ray in &rays {
             let [origin, direction] = [ray.origin, ray.direction].map(|v| DVec3::from_array(v.map(f64::from)));
-            let Some(hit) = queries.closest_hit(&Ray::new(origin, direction)).unwrap() else {
-                escaped[i % 3] += 1;
-                continue;
-            };
+            let hit = queries.closest_hit(&Ray::new(origin, direction)).unwrap();
+            let hit = hit.unwrap_or_else(|| panic!("{structure:?}: {ray:?} escapes"));
             assert!((hit.distance - exit(ray, 1.0)).abs() <= 1e-9 * hit.distance, "{structure:?}: {ray:?} {hit:?}");
             fillers_hit += usize::from(fillers.contains(&hit.triangle));
         }
         assert_eq!(fillers_hit, 0, "{structure:?}");
-        // None of those in any direction; of those at f32 points of the T-junctions few, since some are exactly there.
-        let [in_any_direction, at_vertices, at_edges] = escaped;
-        assert!(in_any_direction == 0 && at_vertices + at_edges < rays.len() / 100, "{structure:?}: {escaped:?}");
     }
 }
 

@@ -32,6 +32,8 @@ pub fn candidates(drawn: &[Drawn], origin: DVec3, ray: &Ray) -> Vec<Candidate> {
         let direction = drawn.local_from_world.transform_vector3(ray.direction);
         for &(triangle, corners) in &drawn.triangles {
             let Some((t, t_error, is_inside)) = meet(from, direction, corners) else { continue };
+            // Inverting the matrix enlarges rounding errors.
+            let t_error = t_error + drawn.condition() * f64::EPSILON * t.abs();
             let [a, b, c] = corners;
             let is_back = direction.dot((b - a).cross(c - a)) > 0.0;
             if is_back && !material.double_sided {

@@ -163,8 +163,8 @@ pub(crate) fn reciprocal_power_of_two(value: f32) -> f32 {
 
 /// Prepares the triangle test of a ray whose slab test is prepared. `extent` is the greatest absolute coordinate of the
 /// geometry and the origin. Sheared coordinates are scaled by a power of two, exactly, so that the greatest is about
-/// [`SHEARED_EXTENT`]: products of two do not overflow, whatever the geometry's unit, and do not underflow for triangles
-/// down to 2^-93 of the extent.
+/// [`SHEARED_EXTENT`]: products of two do not overflow, whatever the geometry's unit, and do not underflow for
+/// triangles down to 2^-93 of the extent.
 ///
 /// Besides the slope a row has a 1 (times that power of two) and a 0: a product with either is exact, so that a dot
 /// product rounds as one product and one sum do.
