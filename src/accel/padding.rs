@@ -15,20 +15,27 @@ pub(super) const SIDE_MARGIN: f32 = 1.0 / (1 << 18) as f32;
 /// requires (`trace::kernel::intersect`, point 3); the smallest normal float serves a box
 /// that is a point (a subnormal would be flushed to zero on some GPUs). Every operation is monotonic, so a box inside
 /// another stays inside. The result is finite.
-pub(super) fn pad_corners(min: Vec3, max: Vec3) -> (Vec3, Vec3) {
-    let padded = pad_bounds(SimdAabb { min: min.extend(0.0), max: max.extend(0.0) });
+///
+/// This is for a `side_margin` of [`SIDE_MARGIN`].
+pub(super) fn pad_corners(min: Vec3, max: Vec3, side_margin: f32) -> (Vec3, Vec3) {
+    let padded = pad_by(SimdAabb { min: min.extend(0.0), max: max.extend(0.0) }, side_margin);
     (padded.min.xyz(), padded.max.xyz())
 }
 
-/// [`pad_corners`] on 4-lane vectors.
+/// [`pad_corners`] on 4-lane vectors, by [`SIDE_MARGIN`].
 #[inline]
-pub(super) fn pad_bounds(SimdAabb { min, max }: SimdAabb) -> SimdAabb {
+pub(super) fn pad_bounds(bounds: SimdAabb) -> SimdAabb {
+    pad_by(bounds, SIDE_MARGIN)
+}
+
+#[inline(always)]
+fn pad_by(SimdAabb { min, max }: SimdAabb, side_margin: f32) -> SimdAabb {
     const ULPS: f32 = 1.0 / (1 << 22) as f32;
     // The fourth lanes may hold indices, whose bits may be subnormal floats and would slow the arithmetic a
     // hundredfold: clear them.
     let (min, max) = (min.with_w(0.0), max.with_w(0.0));
     let half_side = (max * 0.5 - min * 0.5).max_element();
-    let margin = Vec4::splat(half_side * (2.0 * SIDE_MARGIN) + f32::MIN_POSITIVE);
+    let margin = Vec4::splat(half_side * (2.0 * side_margin) + f32::MIN_POSITIVE);
     let finite = Vec4::splat(f32::MAX);
     SimdAabb {
         min: (min - (min.abs() * ULPS + margin)).max(-finite),

@@ -6,6 +6,7 @@ use std::time::Instant;
 use glam::{DAffine3, DVec3};
 
 use super::changes::SceneChanges;
+use super::deformation::RebuildLimits;
 use super::geometry_table::GeometryTable;
 use super::instance_bounds::InstanceBounds;
 use super::instance_record::{RecordInputs, instance_record};
@@ -54,6 +55,7 @@ pub struct Compiler {
     /// Whether the last compile was cancelled: what it has read from the log is marked in the tables, but not written.
     is_unfinished: bool,
     cancel: Cancel,
+    rebuild_limits: RebuildLimits,
 }
 
 /// The most times that the render origin moves in one compile: the error of its choice shrinks by 2^20 each time.
@@ -106,12 +108,24 @@ impl Compiler {
             compile_count: 0,
             is_unfinished: false,
             cancel: Cancel::default(),
+            rebuild_limits: RebuildLimits::default(),
         }
     }
 
     /// Sets the token that stops [`compile`](Self::compile) from now on; `None`, the default, for none.
     pub fn set_cancel(&mut self, cancel: impl Into<Option<Cancel>>) {
         self.cancel = cancel.into().unwrap_or_default();
+    }
+
+    /// Sets when structures are rebuilt from now on.
+    pub fn set_rebuild_limits(&mut self, limits: RebuildLimits) {
+        self.rebuild_limits = limits;
+    }
+
+    /// Forgets the scene, but not what was set.
+    fn forget_scene(&mut self) {
+        let cancel = std::mem::take(&mut self.cancel);
+        *self = Self { cancel, rebuild_limits: self.rebuild_limits, ..Self::new() };
     }
 
     /// Brings the arrays up to date with `scene` as seen from a viewpoint (an eye position converts to one).
@@ -135,7 +149,7 @@ impl Compiler {
         match result {
             Ok(_) => self.last_viewpoint = Some((scene.id(), *viewpoint)),
             Err(Error::Cancelled) => {}
-            Err(_) => *self = Self { cancel: std::mem::take(&mut self.cancel), ..Self::new() },
+            Err(_) => self.forget_scene(),
         }
         result
     }
@@ -263,8 +277,9 @@ impl Compiler {
         match scene.changes_since(&mut self.cursor) {
             Changes::Everything => {
                 // Keys of different scenes may coincide: nothing of the old scene may stay.
-                let (cursor, cancel) = (std::mem::take(&mut self.cursor), std::mem::take(&mut self.cancel));
-                *self = Self { cursor, cancel, ..Self::new() };
+                let cursor = std::mem::take(&mut self.cursor);
+                self.forget_scene();
+                self.cursor = cursor;
                 SceneChanges::default()
             }
             Changes::Since(changes) => SceneChanges::new(scene, changes),
@@ -384,6 +399,7 @@ impl Compiler {
         if self.users.geometries.take_keys_changed() || !changes.geometries.is_empty() || resumes {
             let start = Instant::now();
             let used = &self.users.geometries;
+            self.geometries.set_max_cost_ratio(self.rebuild_limits.max_blas_cost_ratio);
             let update = self.geometries.update(scene, used, self.compile_count, &mut self.arrays, &self.cancel)?;
             let users = update.changed.iter().flat_map(|&key| self.users.geometries.slots(key));
             users.for_each(|&slot| self.instances.mark_slot(slot));
@@ -417,6 +433,7 @@ impl Compiler {
         self.lights.write(scene, hierarchy, &self.view, self.origin, &mut self.arrays.lights)?;
         // 3. The TLAS. Of two updates in one compile the last that changed it is reported.
         let start = Instant::now();
+        self.bounds.set_max_cost_ratio(self.rebuild_limits.max_tlas_cost_ratio);
         match self.bounds.update_tlas(&mut self.arrays.tlas_nodes, &self.arrays.instances) {
             TlasUpdate::Kept => {}
             update => {

@@ -4,11 +4,45 @@ use std::sync::Arc;
 
 use serde::Serialize;
 
+use crate::accel::Tlas;
 use crate::graph::{BlasKind, Geometry, Quality};
 
-/// A refitted structure is rebuilt when its SAH cost exceeds this multiple of its cost after the last build.
-/// `docs/BENCHMARKS.md` has the cost of rays at other limits.
+/// A refitted structure is rebuilt when its SAH cost exceeds this multiple of its cost after the last build, unless
+/// there is [another limit](RebuildLimits). `docs/BENCHMARKS.md` has the cost of rays at other limits.
 pub(super) const MAX_BLAS_COST_RATIO: f64 = 1.25;
+
+/// When structures that were refitted or patched are rebuilt: at which multiple of their SAH cost after the last build.
+/// 1 is whenever it has grown at all, infinity never.
+///
+/// Less makes rays faster and updates slower. The defaults suit scenes that are drawn once after each change.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct RebuildLimits {
+    /// Of bottom-level structures, whose geometry deforms; 1.25 by default.
+    pub max_blas_cost_ratio: f64,
+    /// Of the top level; 1.5 by default ([`Tlas::MAX_COST_RATIO`]).
+    pub max_tlas_cost_ratio: f64,
+}
+
+impl Default for RebuildLimits {
+    fn default() -> Self {
+        Self { max_blas_cost_ratio: MAX_BLAS_COST_RATIO, max_tlas_cost_ratio: Tlas::MAX_COST_RATIO }
+    }
+}
+
+impl RebuildLimits {
+    /// The same with another limit for bottom-level structures.
+    #[must_use]
+    pub fn with_max_blas_cost_ratio(self, max_blas_cost_ratio: f64) -> Self {
+        Self { max_blas_cost_ratio, ..self }
+    }
+
+    /// The same with another limit for the top level.
+    #[must_use]
+    pub fn with_max_tlas_cost_ratio(self, max_tlas_cost_ratio: f64) -> Self {
+        Self { max_tlas_cost_ratio, ..self }
+    }
+}
 
 /// Two changes at most this many compiles apart count as consecutive.
 const RECENT_COMPILES: u64 = 8;

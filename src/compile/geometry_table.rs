@@ -7,9 +7,7 @@ use rayon::prelude::*;
 use slotmap::SecondaryMap;
 
 use super::buffer_allocator::{BufferAllocator, disjoint_mut};
-use super::deformation::{
-    BlasAction, BlasBuildReasons, BuildReason, ChangeHistory, MAX_BLAS_COST_RATIO, choose_action,
-};
+use super::deformation::{BlasAction, BlasBuildReasons, BuildReason, ChangeHistory, choose_action};
 use super::users::SlotsByKey;
 use super::vertex_streams::{StreamRanges, VertexStreamTable};
 use crate::accel::{Blas, BlasBuildParams, MergedTriangles, RefitReport, SupportFunction, refit};
@@ -29,6 +27,8 @@ pub(super) struct GeometryTable {
     wide_nodes: BufferAllocator,
     triangles: BufferAllocator,
     streams: VertexStreamTable,
+    /// See [`RebuildLimits`](super::RebuildLimits).
+    max_cost_ratio: f64,
 }
 
 /// The state of one geometry: what was written for it, and where.
@@ -123,7 +123,13 @@ impl GeometryTable {
             wide_nodes: BufferAllocator::new("the wide nodes array"),
             triangles: BufferAllocator::new("the triangles array"),
             streams: VertexStreamTable::new(),
+            max_cost_ratio: f64::INFINITY,
         }
+    }
+
+    /// Sets the multiple of its cost after the last build at which a refitted structure is rebuilt.
+    pub(super) fn set_max_cost_ratio(&mut self, max_cost_ratio: f64) {
+        self.max_cost_ratio = max_cost_ratio;
     }
 
     /// Makes the table hold exactly the geometries in `used`: frees the others, refits those that deformed, and builds
@@ -245,7 +251,7 @@ impl GeometryTable {
             let entry = &mut self.entries[job.0];
             entry.support = support;
             let built_cost = *entry.built_cost.get_or_insert(refitted.old_cost);
-            if refitted.cost > built_cost * MAX_BLAS_COST_RATIO {
+            if refitted.cost > built_cost * self.max_cost_ratio {
                 self.build_after_refit(*job, BuildReason::CostGrown, to_build);
             } else {
                 update.refitted.add(job.1);

@@ -52,6 +52,11 @@ impl InstanceBounds {
         }
     }
 
+    /// Sets the limit of the TLAS, see [`Tlas::set_max_cost_ratio`].
+    pub(super) fn set_max_cost_ratio(&mut self, max_cost_ratio: f64) {
+        self.tlas.set_max_cost_ratio(max_cost_ratio);
+    }
+
     /// Removes all boxes and empties the TLAS; both release their memory.
     pub(super) fn clear(&mut self, nodes: &mut DeviceBuffer<Node>) {
         *self = Self::default();

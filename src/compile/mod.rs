@@ -37,7 +37,7 @@ mod view_dependent;
 mod viewpoint;
 
 pub use compiler::{Compiler, InstanceSource};
-pub use deformation::BlasBuildReasons;
+pub use deformation::{BlasBuildReasons, RebuildLimits};
 pub use report::CompileReport;
 pub(crate) use report::seconds;
 pub use viewpoint::{ViewHeight, Viewpoint};

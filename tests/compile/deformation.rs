@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use glam::{DVec3, Quat, Vec3};
 use ropewalk::accel::{Blas, BlasBuildParams};
-use ropewalk::compile::{BlasBuildReasons, CompileReport, Compiler};
+use ropewalk::compile::{BlasBuildReasons, CompileReport, Compiler, RebuildLimits};
 use ropewalk::graph::{BlasKind, Change, ChangeCursor, Changes, Delta, ObjectKey, Quality};
 use ropewalk::{Core, Error, Geometry, Material, Scene};
 
@@ -272,6 +272,20 @@ fn what_twists_on_and_on_is_rebuilt_now_and_then() {
     println!("{rebuilt} built, {refitted} refitted; up to {worst} times the cost of a new one");
     assert!(rebuilt >= 2 && refitted > 2 * rebuilt, "{rebuilt} built, {refitted} refitted");
     assert!(worst < 2.0, "{worst} times the cost of a new one");
+}
+
+/// The same deformation under limits: never, as soon as the cost grows, and by default between these.
+#[test]
+fn limits_say_how_often_is_rebuilt() {
+    let default = RebuildLimits::default();
+    let rebuilt = [default.with_max_blas_cost_ratio(1.0), default, default.with_max_blas_cost_ratio(f64::INFINITY)]
+        .map(|limits| {
+            let mut shown = Shown::new(vec![sphere(40)]);
+            shown.compiler.set_rebuild_limits(limits);
+            (0..40).map(|_| shown.twist(0, 0.2).blas_built).sum::<usize>()
+        });
+    let [at_once, now_and_then, never] = rebuilt;
+    assert!(never == 0 && now_and_then > 0 && at_once > 2 * now_and_then, "{rebuilt:?}");
 }
 
 #[test]

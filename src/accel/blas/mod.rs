@@ -19,6 +19,7 @@ use self::prune::PrunedTree;
 pub(crate) use self::refit::{RefitReport, refit};
 use super::build::coincident::{CoincidentTriangles, MergedTriangles};
 use super::build::{build_tree, triangle_references};
+use super::padding::SIDE_MARGIN;
 use super::stats::BvhStats;
 use super::tree::{PARALLEL_SUBTREE_THRESHOLD, SahParams};
 use super::validate::{BvhError, validate_nodes};
@@ -66,11 +67,24 @@ pub struct BlasBuildParams {
     /// Cost of a triangle test in units of one node fetch and box test. Higher values make smaller leaves: 1.0 gives
     /// 3.0 triangles a leaf on the Stanford dragon, 1.5 gives 2.25, 2.0 gives 1.8.
     pub triangle_cost: f32,
+    /// The share of its longest side by which the box of a node is padded, on every side, besides a few ulps of its
+    /// coordinates. [`DEFAULT_BOX_MARGIN`](Self::DEFAULT_BOX_MARGIN), 2^-18, is what the tolerance of the triangle test
+    /// requires (`docs/ACCURACY.md`): with less, rays through edges may be lost, and structures may disagree; with
+    /// more, boxes are met in vain. A [refit](Blas::refit) pads by the default.
+    pub box_margin: f32,
 }
 
 impl BlasBuildParams {
+    /// The default of [`box_margin`](Self::box_margin): 2^-18.
+    pub const DEFAULT_BOX_MARGIN: f32 = SIDE_MARGIN;
+
     /// One triangle in each leaf, as in the paper.
-    pub const PAPER: Self = Self { structure: BlasKind::Bvh(Quality::Medium), max_leaf_size: 1, triangle_cost: 1.5 };
+    pub const PAPER: Self = Self {
+        structure: BlasKind::Bvh(Quality::Medium),
+        max_leaf_size: 1,
+        triangle_cost: 1.5,
+        box_margin: SIDE_MARGIN,
+    };
 
     /// The default parameters with this structure.
     pub fn new(structure: BlasKind) -> Self {
@@ -94,12 +108,23 @@ impl BlasBuildParams {
     pub const fn with_triangle_cost(self, triangle_cost: f32) -> Self {
         Self { triangle_cost, ..self }
     }
+
+    /// These parameters with another [padding of boxes](Self::box_margin).
+    #[must_use]
+    pub const fn with_box_margin(self, box_margin: f32) -> Self {
+        Self { box_margin, ..self }
+    }
 }
 
 impl Default for BlasBuildParams {
     /// A BVH of medium quality, triangle cost 1.5, and leaves of up to 15 triangles where the SAH prefers them.
     fn default() -> Self {
-        Self { structure: BlasKind::default(), max_leaf_size: PrimitiveRange::MAX_COUNT, triangle_cost: 1.5 }
+        Self {
+            structure: BlasKind::default(),
+            max_leaf_size: PrimitiveRange::MAX_COUNT,
+            triangle_cost: 1.5,
+            box_margin: Self::DEFAULT_BOX_MARGIN,
+        }
     }
 }
 
@@ -156,7 +181,7 @@ impl Blas {
         let coincident = CoincidentTriangles::new(geometry);
         let mut build_nodes = |structure: BlasKind| {
             let tree = build_tree(geometry, &mut references, &extent, structure, &sah_params, &coincident, cancel)?;
-            let Some(pruned) = PrunedTree::new(&tree, &sah_params) else { return Ok(None) };
+            let Some(pruned) = PrunedTree::new(&tree, &sah_params, params.box_margin) else { return Ok(None) };
             cancel.check()?;
             Ok(Some(pruned.join_near_root(0, || flatten(&pruned), || collapse(&pruned))))
         };

@@ -31,6 +31,8 @@ const PARALLEL_DEPTH: u32 = 12;
 pub(super) struct PrunedTree<'a> {
     tree: &'a BuildTree,
     params: &'a SahParams,
+    /// The share of its longest side by which a box is padded.
+    box_margin: f32,
     /// The [`SubtreeSize`] of each node's subtree after pruning, packed. Atomic only because threads write disjoint
     /// subtrees through a shared reference.
     sizes: Vec<AtomicU64>,
@@ -115,13 +117,13 @@ impl SubtreePlan {
 
 impl<'a> PrunedTree<'a> {
     /// Prunes a tree. `None` if the tree has no node, or more than [`MAX_BLAS_DEPTH`] levels. O(n).
-    pub(super) fn new(tree: &'a BuildTree, params: &'a SahParams) -> Option<Self> {
+    pub(super) fn new(tree: &'a BuildTree, params: &'a SahParams, box_margin: f32) -> Option<Self> {
         if tree.nodes.is_empty() {
             return None;
         }
         let task_depth = if tree.nodes.len() < PARALLEL_MINIMUM { 0 } else { PARALLEL_DEPTH };
         let (sizes, heights) = (bytemuck::zeroed_vec(tree.nodes.len()), bytemuck::zeroed_vec(tree.nodes.len()));
-        let pruned = Self { tree, params, sizes, heights, task_depth };
+        let pruned = Self { tree, params, box_margin, sizes, heights, task_depth };
         // The root is always kept.
         let plan = pruned.prune(0, 0)?;
         pruned.set_size_and_height(0, SubtreeSize { top_node_count: 1, ..plan.size }, plan.height);
@@ -210,7 +212,7 @@ impl<'a> PrunedTree<'a> {
     /// The least and greatest corner of a node's box, padded.
     pub(super) fn padded_corners(&self, node: usize) -> [Vec3; 2] {
         let BuildNode { min, max, .. } = self.tree.nodes[node];
-        pad_corners(min, max).into()
+        pad_corners(min, max, self.box_margin).into()
     }
 
     /// Half the surface area of a node's box.

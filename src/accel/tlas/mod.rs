@@ -60,7 +60,7 @@ use crate::math::Aabb;
 /// let update = tlas.update(&mut nodes, &boxes, &[7]);
 /// assert!(matches!(update, TlasUpdate::Patched { instances: 1, .. }));
 /// ```
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Tlas {
     leaves: LeafTable,
     /// The index of each node's parent; `NONE` for the root.
@@ -71,6 +71,21 @@ pub struct Tlas {
     stale_ancestors: BinaryHeap<u32>,
     /// Whether rebuilds reserve unused leaves: set once an instance was added and no leaf was unused.
     has_run_out: bool,
+    max_cost_ratio: f64,
+}
+
+impl Default for Tlas {
+    /// An empty hierarchy, which is rebuilt at [`MAX_COST_RATIO`](Self::MAX_COST_RATIO).
+    fn default() -> Self {
+        Self {
+            leaves: LeafTable::default(),
+            parents: Vec::new(),
+            cost: CostTracker::default(),
+            stale_ancestors: BinaryHeap::new(),
+            has_run_out: false,
+            max_cost_ratio: Self::MAX_COST_RATIO,
+        }
+    }
 }
 
 /// What an update in place did, and what it decided in the end.
@@ -83,13 +98,20 @@ struct Updated {
 }
 
 impl Tlas {
-    /// A hierarchy is rebuilt when its cost exceeds this multiple of its cost after the last build. The larger of two
+    /// A hierarchy is rebuilt when its cost exceeds this multiple of its cost after the last build, unless another
+    /// limit is [set](Self::set_max_cost_ratio). The larger of two
     /// ratios counts: that of the summed area of all inner nodes below the root, and that of the [SAH
     /// cost](Self::sah_cost) without the share of the leaves.
     pub const MAX_COST_RATIO: f64 = policy::MAX_COST_RATIO;
 
     /// The most levels of a hierarchy that this type builds.
     pub const MAX_DEPTH: usize = agglomerative::MAX_CLUSTER_DEPTH + 1;
+
+    /// Sets the multiple of the cost after the last build at which an update rebuilds: 1 for whenever it has grown at
+    /// all, infinity for never.
+    pub fn set_max_cost_ratio(&mut self, max_cost_ratio: f64) {
+        self.max_cost_ratio = max_cost_ratio;
+    }
 
     /// Builds a new hierarchy, on all threads of the current rayon pool if there are many instances; the result does
     /// not depend on the number of threads. O(n log n), of which the logarithm is that of binary searches.
@@ -167,7 +189,8 @@ impl Tlas {
         updated.nodes += self.fill_last_leaf(nodes);
         // 5. Rebuild if the cost has grown too much.
         self.cost.recompute_if_inexact(nodes);
-        updated.action = policy::after_boxes(updated.action, has_changed, self.cost.cost_ratio(nodes));
+        updated.action =
+            policy::after_boxes(updated.action, has_changed, self.cost.cost_ratio(nodes), self.max_cost_ratio);
         updated
     }
 

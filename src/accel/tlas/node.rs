@@ -2,14 +2,14 @@
 
 use glam::Vec4;
 
-use crate::accel::padding::pad_corners;
+use crate::accel::padding::{SIDE_MARGIN, pad_corners};
 use crate::device::layout::{Node, PrimitiveRange};
 use crate::math::Aabb;
 
 /// The leaf of an instance, with its padded box.
 #[inline]
 pub(super) fn instance_leaf(instance_index: u32, bounds: &Aabb, escape_index: u32) -> Node {
-    let (min, max) = pad_corners(bounds.min, bounds.max);
+    let (min, max) = pad_corners(bounds.min, bounds.max, SIDE_MARGIN);
     let lane = |bits| f32::from_bits(bits);
     let primitives = bytemuck::cast(PrimitiveRange::leaf(instance_index, 1));
     bytemuck::cast([min.extend(lane(escape_index)), max.extend(lane(primitives))])

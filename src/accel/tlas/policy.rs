@@ -10,7 +10,7 @@
 //! | | more leaves are unused than used | rebuild ([`RebuildReason::Sparse`]) |
 //! | | otherwise | as chosen |
 //! | [`after_boxes`] | no box changed | keep |
-//! | | the cost has grown by more than half since the last build | rebuild ([`RebuildReason::CostGrown`]) |
+//! | | the cost has grown by more than half (or another limit) since the last build | rebuild ([`RebuildReason::CostGrown`]) |
 //! | | otherwise | as chosen |
 //!
 //! [`reserved_leaf_count`] decides how many unused leaves a rebuild reserves for instances that are added later, and
@@ -70,11 +70,12 @@ pub(super) fn after_leaves(chosen: Action, leaves: LeafCounts, changed_leaves: O
     }
 }
 
-/// Decides again after all boxes are up to date. `cost_ratio` is the cost relative to that after the last build.
-pub(super) fn after_boxes(chosen: Action, has_changed: bool, cost_ratio: f64) -> Action {
+/// Decides again after all boxes are up to date. `cost_ratio` is the cost relative to that after the last build, and
+/// `max_cost_ratio` its limit.
+pub(super) fn after_boxes(chosen: Action, has_changed: bool, cost_ratio: f64, max_cost_ratio: f64) -> Action {
     if !has_changed {
         Action::Keep
-    } else if cost_ratio > MAX_COST_RATIO {
+    } else if cost_ratio > max_cost_ratio {
         Action::Rebuild(RebuildReason::CostGrown)
     } else {
         chosen
@@ -158,9 +159,11 @@ mod tests {
             (true, MAX_COST_RATIO.next_up(), COST_GROWN),
         ];
         for (has_changed, cost_ratio, expected) in table {
-            assert_eq!(after_boxes(Action::Refit, has_changed, cost_ratio), expected, "{has_changed}, {cost_ratio}");
+            let action = after_boxes(Action::Refit, has_changed, cost_ratio, MAX_COST_RATIO);
+            assert_eq!(action, expected, "{has_changed}, {cost_ratio}");
         }
-        assert_eq!(after_boxes(Action::Patch, true, 1.0), Action::Patch);
+        assert_eq!(after_boxes(Action::Patch, true, 1.0, MAX_COST_RATIO), Action::Patch);
+        assert_eq!(after_boxes(Action::Patch, true, 9.0, 10.0), Action::Patch);
     }
 
     #[test]
