@@ -7,13 +7,15 @@ use nalgebra::Point3;
 pub struct Shape {
     /// The triangle's.
     pub corners: [Vec3; 3],
+    /// Its index.
+    pub triangle: u32,
     node: usize,
 }
 
 impl Shape {
-    /// A triangle that is not in a tree yet.
-    pub fn new(corners: [Vec3; 3]) -> Self {
-        Self { corners, node: 0 }
+    /// Triangles that are not in a tree yet.
+    pub fn all(triangles: &[[Vec3; 3]]) -> Vec<Self> {
+        (0..).zip(triangles).map(|(triangle, &corners)| Self { corners, triangle, node: 0 }).collect()
     }
 }
 

@@ -200,6 +200,9 @@ pub struct Scene<'a> {
     scene: Pointer,
 }
 
+// SAFETY: Embree allows any number of threads to trace a scene that is committed, which a `Scene` is.
+unsafe impl Sync for Scene<'_> {}
+
 impl Drop for Scene<'_> {
     fn drop(&mut self) {
         // SAFETY: it was made in one place and is released in this one.
@@ -223,6 +226,13 @@ pub trait Batch {
 /// For `rtcIntersect1`.
 #[derive(Debug, Default)]
 pub struct Closest1(Vec<RayHit>);
+
+impl Closest1 {
+    /// The triangle that each ray of the last trace has hit, and where.
+    pub fn hits(&self) -> impl Iterator<Item = Option<(u32, f32)>> {
+        self.0.iter().map(RayHit::hit)
+    }
+}
 
 /// For `rtcIntersect16`.
 #[derive(Debug, Default)]

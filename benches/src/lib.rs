@@ -4,11 +4,14 @@
 //! compared runs in turns, so that whatever else the machine does hits all of them alike.
 
 pub mod bvh_shape;
+pub mod columns;
 pub mod embree;
+pub mod exact;
 #[cfg(feature = "gpu")]
 pub mod gpu;
 pub mod kernel_counts;
 pub mod layouts;
+pub mod peers;
 pub mod rays;
 pub mod runner;
 pub mod scenes;

@@ -89,7 +89,7 @@ fn of_obvhs(triangles: &[[Vec3; 3]]) -> Vec<obvhs::triangle::Triangle> {
 }
 
 fn of_bvh(triangles: &[[Vec3; 3]]) -> Vec<Shape> {
-    triangles.iter().copied().map(Shape::new).collect()
+    Shape::all(triangles)
 }
 
 impl Tree {

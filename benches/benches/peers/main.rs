@@ -18,12 +18,13 @@ use rayon::ThreadPool;
 use ropewalk::device::layout::RayRecord;
 use ropewalk::trace::Cpu;
 use ropewalk_bench::embree::Embree;
+use ropewalk_bench::peers::{Bvh, Parry};
 use ropewalk_bench::rays::{Differences, RayKind, RaySets};
 use ropewalk_bench::runner::Traced;
 use ropewalk_bench::scenes::{BenchScene, ImageSize, Recipe, SCENES};
 use ropewalk_bench::{Contender, Options, Report, Result, Target, finish, medians, thread_pool};
 
-use crates::{Bvh, Obvhs, Parry};
+use crates::ObvhsPresets;
 use embree::Embree4;
 use peer::{Entry, Peer, Role};
 
@@ -111,7 +112,7 @@ fn build_peers<'a>(embree: &'a Embree, triangles: &[[Vec3; 3]]) -> Result<Vec<Bo
         Box::new(Embree4::build(embree, triangles)?),
         #[cfg(feature = "embree3")]
         Box::new(embree3::Embree3::build(triangles)?),
-        Box::new(Obvhs::build(triangles)),
+        Box::new(ObvhsPresets::build(triangles)),
         Box::new(Bvh::build(triangles)),
         Box::new(Parry::build(triangles)?),
     ])

@@ -100,6 +100,11 @@ impl RayHit {
     pub(super) fn answer(&self) -> f32 {
         closest(self.ray.t_far, self.geometry)
     }
+
+    /// The triangle and t.
+    pub(super) fn hit(&self) -> Option<(u32, f32)> {
+        (self.geometry != INVALID_GEOMETRY_ID).then_some((self.primitive, self.ray.t_far))
+    }
 }
 
 impl RayHit16 {
