@@ -1,8 +1,8 @@
 //! On which side of an edge a ray passes, and where it crosses a plane, without error.
 //!
 //! Signs are computed in f64 first. Where the result is not beyond the proven bound of its rounding errors, they are
-//! computed by integers: of 128 bits where the numbers fit, of any length else. (The crate `robust` asks for points; the
-//! end of a ray, origin plus direction, is no point that f64 has.)
+//! computed by integers: of 128 bits where the numbers fit, of any length else. (The crate `robust` asks for points;
+//! the end of a ray, origin plus direction, is no point that f64 has.)
 //!
 //! The bound holds where nothing underflows: numbers are 0, or multiples of 2^-300 below 2^300. All f32 are.
 

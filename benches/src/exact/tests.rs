@@ -26,9 +26,10 @@ fn interior_edges_corners_and_an_ulp_beside_them() {
     assert_eq!(place(&ray(1.25, 1.75)), Some(Place::Edge));
     assert_eq!(place(&ray(1.25, 1.75_f32.next_up())), None);
     assert_eq!(place(&ray(1.25, 1.75_f32.next_down())), Some(Place::Interior));
-    for (y, z) in [(0.0, 0.0), (3.0, 0.0), (0.0, 3.0)] {
-        assert_eq!(place(&ray(y, z)), Some(Place::Corner));
-        assert_eq!(place(&ray(y, f32::from_bits(1).copysign(-1.0) + z - 1e-6)), None);
+    let least = f32::from_bits(1);
+    for (corner, beside) in [((0.0, 0.0), (0.0, -least)), ((3.0, 0.0), (3.0, -least)), ((0.0, 3.0), (-least, 3.0))] {
+        assert_eq!(place(&ray(corner.0, corner.1)), Some(Place::Corner));
+        assert_eq!(place(&ray(beside.0, beside.1)), None);
     }
     assert_eq!(place(&ray(3.0_f32.next_up(), 0.0)), None);
     // An edge that only exact arithmetic meets: f64 rounds the corners' differences.
@@ -63,7 +64,8 @@ fn verdicts() {
     let judge = |ray: RayRecord, primitive, t| oracle.judge(&ray, &oracle.truth(&ray), &Hit { primitive, t });
     let inside = ray(1.0, 1.0);
     assert_eq!(judge(inside, 0, 2.0), Verdict::Right(0.0));
-    assert_eq!(judge(inside, 0, 2.5), Verdict::Right(0.25));
+    // The nearest corner is farther than t.
+    assert_eq!(judge(inside, 0, 2.5), Verdict::Right(0.5 / 6_f64.sqrt()));
     assert_eq!(judge(inside, 1, 3.0), Verdict::WrongTriangle);
     assert_eq!(judge(inside, 7, 3.0), Verdict::WrongTriangle);
     assert_eq!(judge(inside, NONE, 0.0), Verdict::FalseMiss);
@@ -92,4 +94,38 @@ fn a_surface_is_crossed_at_its_edges_and_touched_at_its_rim() {
     for (y, z) in [(1.0, 0.0), (0.0, 1.0), (0.0, 0.0), (2.0, 2.0)] {
         assert!(is_met(y, z) && must_hit(y, z).is_none(), "{y} {z}");
     }
+}
+
+fn right(met: Meeting) -> Hit {
+    Hit { primitive: met.triangle, t: met.t }
+}
+
+/// A sphere from within, traced by the oracle itself, with every hundredth answer made wrong.
+#[test]
+fn planted_faults_are_counted() {
+    let geometry = crate::shapes::sphere(24, 48);
+    let corners = |triangle: &[u32; 3]| triangle.map(|vertex| geometry.positions[vertex as usize].as_dvec3());
+    let oracle = Oracle::new(geometry.indices.iter().map(corners).collect(), Ends::Open);
+    let mut random = fastrand::Rng::with_seed(9);
+    let mut number = || random.f32() - 0.5;
+    let mut vector = || [0; 3].map(|_| number());
+    let rays: Vec<RayRecord> =
+        (0..10_000).map(|_| RayRecord { origin: vector(), t_min: 0.0, direction: vector(), t_max: f32::MAX }).collect();
+    let truths = oracle.truths(&rays);
+    let count = |answer: fn(usize, Meeting) -> Hit, verdict: fn(&Verdict) -> bool| {
+        let judged = rays.iter().zip(&truths).enumerate().map(|(i, (ray, truth))| {
+            oracle.judge(ray, truth, &answer(i, truth.nearest.expect("the sphere is closed")))
+        });
+        judged.filter(verdict).count()
+    };
+    let is_fault = |v: &Verdict| matches!(v, Verdict::FalseMiss | Verdict::FalseHit | Verdict::WrongTriangle);
+    assert_eq!(count(|_, met| right(met), is_fault), 0);
+    let dropped = |i, met| if i % 100 == 0 { Hit::MISS } else { right(met) };
+    assert_eq!(count(dropped, |v| *v == Verdict::FalseMiss), 100);
+    // The triangle half way around the list is on the other half of the sphere.
+    let across = |i, met: Meeting| match i % 100 {
+        0 => Hit { primitive: (met.triangle + 1104) % 2208, ..right(met) },
+        _ => right(met),
+    };
+    assert_eq!(count(across, |v| *v == Verdict::WrongTriangle), 100);
 }
