@@ -40,7 +40,7 @@ fn chain(rays: usize, link: DAffine3) -> Result<Row> {
     let (mut node, mut matrix) = (world.scene.root(), DAffine3::IDENTITY);
     for _ in 0..LENGTH {
         node = world.scene.add(node, Transform::Matrix(link))?;
-        matrix = matrix * link;
+        matrix *= link;
     }
     world.place(node, core, &matrix)?;
     let mut rays = at_all_parts(&mut Rng::with_seed(120), rays, &triangles, |random| quantised(point(random) * 0.5));

@@ -19,8 +19,8 @@ pub const ROWS: [Recipe; 25] = [
         make: |rays| lengths(rays, -30..=30),
     },
     Recipe { name: "directions of 2^60 to 2^120", goal: Goal::NoLeaks, make: |rays| lengths(rays, 60..=120) },
-    Recipe { name: "directions of 2^-100 to 2^-60", goal: Goal::NoLeaks, make: |rays| lengths(rays, -100..=-60) },
-    Recipe { name: "directions of 2^-149 to 2^-110", goal: Goal::Open, make: |rays| lengths(rays, -149..=-110) },
+    Recipe { name: "directions of 2^-100 to 2^-60", goal: Goal::NoLeaks, make: |rays| lengths(rays / 10, -100..=-60) },
+    Recipe { name: "directions of 2^-149 to 2^-110", goal: Goal::Open, make: |rays| lengths(rays / 10, -149..=-110) },
     Recipe { name: "scale 1e-18", goal: Goal::NoLeaks, make: |rays| scaled(rays, 1e-18) },
     Recipe { name: "scale 1e-9", goal: Goal::NoLeaks, make: |rays| scaled(rays, 1e-9) },
     Recipe { name: "scale 1e-3", goal: Goal::NoLeaks, make: |rays| scaled(rays, 1e-3) },
@@ -59,7 +59,8 @@ fn broken(rays: usize, number: f32) -> Result<Row> {
     Ok(Row::new(triangles, rays))
 }
 
-/// From within a closed surface, along directions of so many powers of two.
+/// From within a closed surface, along directions of so many powers of two. Fewer rays where these are tiny, since some
+/// peers then find all boxes in the way.
 fn lengths(rays: usize, exponents: std::ops::RangeInclusive<i32>) -> Result<Row> {
     let mut random = Rng::with_seed(21);
     let triangles = bumpy();
@@ -67,7 +68,6 @@ fn lengths(rays: usize, exponents: std::ops::RangeInclusive<i32>) -> Result<Row>
         let length = 2.0_f64.powi(random.i32(exponents.clone()));
         let direction = (direction(&mut random).as_dvec3() * length).as_vec3();
         let direction = if direction == Vec3::ZERO { Vec3::X * f32::from_bits(1) } else { direction };
-        // The whole range of t is used: whatever the length, the surface is within it or the ray is left out.
         ray(point(&mut random) * 0.4, direction)
     });
     let rays = aimed.collect();

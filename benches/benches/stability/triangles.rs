@@ -56,7 +56,7 @@ fn coplanar(rays: usize) -> Result<Row> {
     Ok(Row::new(triangles, rays))
 }
 
-/// Long triangles across each other: what spatial splits cut into many parts.
+/// Long triangles across each other: what spatial splits cut into many parts. Fewer rays, since each meets many boxes.
 fn split(rays: usize) -> Result<Row> {
     let mut random = Rng::with_seed(43);
     let triangle = |_| {
@@ -64,11 +64,12 @@ fn split(rays: usize) -> Result<Row> {
         [from, from + along, from + along * 0.5 + point(&mut random) * 0.02]
     };
     let triangles: Vec<[Vec3; 3]> = (0..2000).map(triangle).collect();
-    let rays = at_all_parts(&mut random, rays, &triangles, |random| direction(random) * 3.0);
+    let rays = at_all_parts(&mut random, rays / 4, &triangles, |random| direction(random) * 3.0);
     Ok(Row::new(triangles, rays))
 }
 
-/// Corners whose coordinates have any magnitude up to ten to this power, each by itself.
+/// Corners whose coordinates have any magnitude up to ten to this power, each by itself. Fewer rays: most triangles are
+/// in the way of most of them.
 fn garbage(rays: usize, decades: f32) -> Result<Row> {
     let mut random = Rng::with_seed(44);
     let number = |random: &mut Rng| {
@@ -77,7 +78,7 @@ fn garbage(rays: usize, decades: f32) -> Result<Row> {
     };
     let corner = |random: &mut Rng| Vec3::from_array([0; 3].map(|_| number(random)));
     let triangles: Vec<[Vec3; 3]> = (0..1000).map(|_| [0; 3].map(|_| corner(&mut random))).collect();
-    let aimed = (0..rays).map(|_| {
+    let aimed = (0..(rays / 100).max(1000)).map(|_| {
         let origin = corner(&mut random);
         ray(origin, direction(&mut random))
     });
@@ -85,7 +86,7 @@ fn garbage(rays: usize, decades: f32) -> Result<Row> {
     Ok(Row::new(triangles, rays))
 }
 
-/// A closed band of long triangles around an axis, from within: each is as much narrower than long.
+/// Long triangles in all directions, each so much narrower than long. Fewer rays, since each meets many boxes.
 fn needles(rays: usize, width: f32) -> Result<Row> {
     let mut random = Rng::with_seed(45);
     let triangle = |_| {
@@ -94,7 +95,7 @@ fn needles(rays: usize, width: f32) -> Result<Row> {
         [center - along, center + along, center + along + across]
     };
     let triangles: Vec<[Vec3; 3]> = (0..1000).map(triangle).collect();
-    let rays = at_all_parts(&mut random, rays, &triangles, |random| direction(random) * 4.0);
+    let rays = at_all_parts(&mut random, rays / 4, &triangles, |random| direction(random) * 4.0);
     Ok(Row::new(triangles, rays))
 }
 
