@@ -15,7 +15,7 @@ pub const COLUMNS: [&str; 11] = [
     "false hits",
     "wrong triangles",
     "hits by tolerance",
-    "error of t, most",
+    "greatest error of t",
     "differs from cpu",
     "remark",
 ];
