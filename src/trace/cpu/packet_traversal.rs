@@ -5,8 +5,8 @@
 //! incoherent packets.
 
 use bytemuck::Zeroable;
+use fearless_simd::Simd;
 use fearless_simd::prelude::*;
-use fearless_simd::{Simd, f32x16};
 
 use super::blas_traversal::{ChildVisit, NodeVisitor, Stack, traverse_blas};
 use super::node_test::{NodeTest, NodeTestScratch};
@@ -15,8 +15,9 @@ use super::ray_packet::LocalPacket;
 use super::shear::Shear;
 use super::simd::{F32Lanes, LANES, load, map_axes, splat_axes};
 use super::single_traversal::{SingleScratch, intersect_leaf_single_rays, traverse_single_rays};
-use super::triangle_test::{PlaneOperands, edge_scale, intersect_triangles};
+use super::triangle_test::{PlaneOperands, intersect_triangles, triangle_box};
 use crate::device::layout::{PrimitiveRange, Triangle, WideNode};
+use crate::trace::kernel::scaled_normal;
 
 /// At or below this many active rays the packet switches to single-ray traversal.
 pub(super) const SINGLE_RAY_THRESHOLD: u32 = 2;
@@ -106,12 +107,21 @@ impl<'a, S: Simd, Q: PacketQuery, N: NodeTest<'a, S>> PacketTraversal<'a, S, Q, 
             load(&rays.t_to_sheared),
             [load(&rays.slopes[0]), load(&rays.slopes[1])],
             #[inline(always)]
-            || PlaneOperands {
-                origin: [load(&rays.origins[0]), load(&rays.origins[1]), load(&rays.origins[2])],
-                direction: [load(&rays.directions[0]), load(&rays.directions[1]), load(&rays.directions[2])],
-                reciprocals: [load(&rays.reciprocals[0]), load(&rays.reciprocals[1]), load(&rays.reciprocals[2])],
-                corners: [splat_axes(simd, triangle.v0), splat_axes(simd, triangle.v1), splat_axes(simd, triangle.v2)],
-                edge_scale: f32x16::splat(simd, edge_scale(triangle)),
+            || {
+                let [least, greatest] = triangle_box(triangle);
+                PlaneOperands {
+                    origin: [load(&rays.origins[0]), load(&rays.origins[1]), load(&rays.origins[2])],
+                    direction: [load(&rays.directions[0]), load(&rays.directions[1]), load(&rays.directions[2])],
+                    reciprocals: [load(&rays.reciprocals[0]), load(&rays.reciprocals[1]), load(&rays.reciprocals[2])],
+                    corners: [
+                        splat_axes(simd, triangle.v0),
+                        splat_axes(simd, triangle.v1),
+                        splat_axes(simd, triangle.v2),
+                    ],
+                    least: splat_axes(simd, least),
+                    greatest: splat_axes(simd, greatest),
+                    normal: splat_axes(simd, scaled_normal(triangle).to_array()),
+                }
             },
         );
         let Some((mut hit_lanes, hits)) = hits else { return };

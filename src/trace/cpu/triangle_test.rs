@@ -29,8 +29,11 @@ pub(super) struct PlaneOperands<V> {
     pub(super) direction: [V; 3],
     pub(super) reciprocals: [V; 3],
     pub(super) corners: [[V; 3]; 3],
-    /// The power of two that scales the edges of each triangle to about 1, see [`edge_scale`].
-    pub(super) edge_scale: V,
+    /// The boxes of the triangles.
+    pub(super) least: [V; 3],
+    pub(super) greatest: [V; 3],
+    /// The normals of the triangles, from edges that are scaled to about 1 by a power of two.
+    pub(super) normal: [V; 3],
 }
 
 /// For each vertex the greater value of the other two, the ends of the opposite edge.
@@ -144,24 +147,7 @@ fn plane_distances<S: Simd, V: SimdFloat<S, Element = f32>>(
     t: [V; 3],
     weights: [V; 3],
 ) -> V {
-    // Normal, from two edges.
     let [v0, v1, v2] = operands.corners;
-    let [_, edge_1, edge_2] = map_axes(
-        operands.corners,
-        #[inline(always)]
-        |v| {
-            map_axes(
-                [0, 1, 2],
-                #[inline(always)]
-                |axis: usize| (v[axis] - v0[axis]) * operands.edge_scale,
-            )
-        },
-    );
-    let normal = [
-        edge_1[1] * edge_2[2] - edge_1[2] * edge_2[1],
-        edge_1[2] * edge_2[0] - edge_1[0] * edge_2[2],
-        edge_1[0] * edge_2[1] - edge_1[1] * edge_2[0],
-    ];
     // The vertex with the greatest weight, relative to the origin.
     let is_first = weights[0].simd_ge(weights[1]) & weights[0].simd_ge(weights[2]);
     let is_second = weights[1].simd_ge(weights[2]);
@@ -171,8 +157,8 @@ fn plane_distances<S: Simd, V: SimdFloat<S, Element = f32>>(
         |axis: usize| is_first.select(v0[axis], is_second.select(v1[axis], v2[axis])) - operands.origin[axis],
     );
     // Distance to the plane, unless the quotient would overflow or be 0/0.
-    let height = dot(normal, vertex);
-    let slope = dot(normal, operands.direction);
+    let height = dot(operands.normal, vertex);
+    let slope = dot(operands.normal, operands.direction);
     let is_in_plane = (slope.abs() * SQRT_MAX_QUOTIENT).simd_le(height.abs() * (1.0 / SQRT_MAX_QUOTIENT));
     is_in_plane.select(is_first.select(t[0], is_second.select(t[1], t[2])), height / slope)
 }
@@ -180,14 +166,13 @@ fn plane_distances<S: Simd, V: SimdFloat<S, Element = f32>>(
 /// The intervals of t in which the rays are within the triangles' boxes: what the kernel's `clamp_to_box` clamps to.
 #[inline(always)]
 fn box_interval<S: Simd, V: SimdFloat<S, Element = f32>>(operands: &PlaneOperands<V>) -> [V; 2] {
-    let [v0, v1, v2] = operands.corners;
     let planes = map_axes(
         [0, 1, 2],
         #[inline(always)]
         |axis: usize| {
             let (origin, reciprocal) = (operands.origin[axis], operands.reciprocals[axis]);
-            let a = (v0[axis].min(v1[axis]).min(v2[axis]) - origin) * reciprocal;
-            let b = (v0[axis].max(v1[axis]).max(v2[axis]) - origin) * reciprocal;
+            let a = (operands.least[axis] - origin) * reciprocal;
+            let b = (operands.greatest[axis] - origin) * reciprocal;
             [a.min(b), a.max(b)]
         },
     );
@@ -195,7 +180,31 @@ fn box_interval<S: Simd, V: SimdFloat<S, Element = f32>>(operands: &PlaneOperand
     [max_component([x[0], y[0], z[0]]), min_component([x[1], y[1], z[1]])]
 }
 
-/// The power of two that scales a triangle's edges to about 1.
+/// The least and the greatest corner of a triangle's box.
+#[inline(always)]
+pub(super) fn triangle_box(triangle: &Triangle) -> [[f32; 3]; 2] {
+    let [v0, v1, v2] = [triangle.v0, triangle.v1, triangle.v2].map(Vec3::from_array);
+    [v0.min(v1).min(v2).to_array(), v0.max(v1).max(v2).to_array()]
+}
+
+/// The kernel's `scaled_normal` of triangles in lanes, whose edges are scaled by `edge_scale`.
+#[inline(always)]
+pub(super) fn scaled_normals<S: Simd, V: SimdFloat<S, Element = f32>>(
+    [v0, v1, v2]: [[V; 3]; 3],
+    edge_scale: V,
+) -> [V; 3] {
+    let edge = |v: [V; 3]| {
+        map_axes(
+            [0, 1, 2],
+            #[inline(always)]
+            |axis: usize| (v[axis] - v0[axis]) * edge_scale,
+        )
+    };
+    let (a, b) = (edge(v1), edge(v2));
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+/// The power of two by which `scaled_normal` scales a triangle's edges.
 #[inline(always)]
 pub(super) fn edge_scale(triangle: &Triangle) -> f32 {
     let [v0, v1, v2] = [triangle.v0, triangle.v1, triangle.v2].map(Vec3::from_array);

@@ -298,10 +298,7 @@ fn clamp_to_box(ray: &ShearRay, triangle: &Triangle, t: f32) -> f32 {
 #[inline]
 pub(crate) fn plane_t(ray: &ShearRay, triangle: &Triangle, t: Vec3, weights: Vec3) -> f32 {
     let [v0, v1, v2] = [triangle.v0, triangle.v1, triangle.v2].map(Vec3::from_array);
-    // Normal, from edges that are scaled to about 1 by a power of two.
-    let (edge_1, edge_2) = (v1 - v0, v2 - v0);
-    let scale = reciprocal_power_of_two(max_component(edge_1.abs().max(edge_2.abs())));
-    let normal = cross3(edge_1 * scale, edge_2 * scale);
+    let normal = scaled_normal(triangle);
     // Vertex with the greatest weight.
     let (corner, corner_t) = if weights.x >= weights.y && weights.x >= weights.z {
         (v0 - ray.origin, t.x)
@@ -317,6 +314,15 @@ pub(crate) fn plane_t(ray: &ShearRay, triangle: &Triangle, t: Vec3, weights: Vec
         return corner_t;
     }
     height / slope
+}
+
+/// The normal of a triangle, from edges that are scaled to about 1 by a power of two.
+#[inline]
+pub(crate) fn scaled_normal(triangle: &Triangle) -> Vec3 {
+    let [v0, v1, v2] = [triangle.v0, triangle.v1, triangle.v2].map(Vec3::from_array);
+    let (edge_1, edge_2) = (v1 - v0, v2 - v0);
+    let scale = reciprocal_power_of_two(max_component(edge_1.abs().max(edge_2.abs())));
+    cross3(edge_1 * scale, edge_2 * scale)
 }
 
 #[cfg(test)]

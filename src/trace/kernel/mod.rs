@@ -27,7 +27,7 @@ pub(crate) use camera::camera_ray;
 pub(crate) use intersect::{
     BOX_ENTRY_SCALE, CORNER_TOLERANCE, EDGE_TOLERANCE, MIN_COMPONENT, MIN_RELATIVE_COMPONENT, SHEARED_EXTENT,
     SQRT_MAX_QUOTIENT, START_ZONE, SlabRay, TriangleHit, intersects_box, max_component, reciprocal_power_of_two,
-    shear_ray, slab_ray,
+    scaled_normal, shear_ray, slab_ray,
 };
 pub(crate) use light::LightSample;
 #[cfg(test)]
