@@ -4,6 +4,7 @@ const BOX_ENTRY_SCALE: f32 = 1.0 - 0x1p-18;
 const MIN_RELATIVE_COMPONENT: f32 = 0x1p-64;
 const MIN_COMPONENT: f32 = 0x1p-120;
 const SQRT_MAX_QUOTIENT: f32 = 0x1p63;
+const SIDE_MARGIN: f32 = 0x1p-18;
 const SHEARED_EXTENT: f32 = 0x1p30;
 const CORNER_TOLERANCE: f32 = 0x1p-22;
 const EDGE_TOLERANCE: f32 = 0x1p-21;
@@ -188,12 +189,14 @@ fn intersect_triangle(ray: ShearRay, triangle: Triangle) -> TriangleHit {
     return TriangleHit(t_hit, weights.y, weights.z, back, true);
 }
 
-// Clamps t to the interval in which the ray is within the triangle's box (point 6), as the slab test computes it.
+// Clamps t to the interval in which the ray is within the triangle's box (point 6), padded by the least that the box of
+// a node around it is, as the slab test computes it.
 fn clamp_to_box(ray: ShearRay, triangle: Triangle, t: f32) -> f32 {
     let least = min(min(triangle.v0, triangle.v1), triangle.v2);
     let greatest = max(max(triangle.v0, triangle.v1), triangle.v2);
-    let a = (least - ray.origin) * ray.reciprocal_direction;
-    let b = (greatest - ray.origin) * ray.reciprocal_direction;
+    let margin = max_component(greatest - least) * SIDE_MARGIN;
+    let a = ((least - margin) - ray.origin) * ray.reciprocal_direction;
+    let b = ((greatest + margin) - ray.origin) * ray.reciprocal_direction;
     let near = min(a, b);
     let far = max(a, b);
     return max(min(t, min_component(far)), max_component(near));

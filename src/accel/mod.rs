@@ -33,6 +33,7 @@ mod validate;
 pub use blas::{Blas, BlasBuildParams, MAX_CHILDREN, MAX_WIDE_DEPTH};
 pub(crate) use blas::{RefitReport, refit};
 pub(crate) use build::coincident::MergedTriangles;
+pub(crate) use padding::SIDE_MARGIN;
 pub use stats::BvhStats;
 pub use support::SupportFunction;
 pub use tlas::{RebuildReason, Tlas, TlasUpdate};

@@ -5,7 +5,7 @@ use glam::{Vec3, Vec4, Vec4Swizzles};
 use super::tree::SimdAabb;
 
 /// The share of its longest side by which a box is padded: 2^-18.
-pub(super) const SIDE_MARGIN: f32 = 1.0 / (1 << 18) as f32;
+pub(crate) const SIDE_MARGIN: f32 = 1.0 / (1 << 18) as f32;
 
 /// Pads a box on every side by 2 to 4 ulp of the coordinate, 2^-18 of the box's longest side ([`SIDE_MARGIN`]), and the
 /// smallest normal float.

@@ -33,8 +33,8 @@ pub const ROWS: [Recipe; 12] = [
     Recipe { name: "sheared instance, 1 to 1e3", goal: Goal::Open, make: |rays| placed(rays, sheared(1e3)) },
     Recipe { name: "sheared instance, 1 to 1e6", goal: Goal::Open, make: |rays| placed(rays, sheared(1e6)) },
     Recipe { name: "batches far from the scene's centre, 2^10", goal: Goal::Zero, make: |rays| far(rays, 10) },
-    Recipe { name: "batches far from the scene's centre, 2^20", goal: Goal::Open, make: |rays| far(rays, 20) },
-    Recipe { name: "batches far from the scene's centre, 2^30", goal: Goal::Open, make: |rays| far(rays, 30) },
+    Recipe { name: "batches far from the scene's centre, 2^20", goal: Goal::Zero, make: |rays| far(rays, 20) },
+    Recipe { name: "batches far from the scene's centre, 2^30", goal: Goal::Zero, make: |rays| far(rays, 30) },
 ];
 
 /// Four spheres at one place, each a node of its own.

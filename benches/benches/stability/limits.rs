@@ -4,6 +4,9 @@ use std::fmt;
 use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
+use ropewalk::device::DeviceArrays;
+use ropewalk::device::layout::{NONE, RayRecord};
+use ropewalk::trace::{Cpu, Tracer as _};
 use ropewalk::{
     Camera, Core, DeviceChoice, Error, Geometry, Light, Material, NodeKey, Ray, Renderer, RendererOptions, Scene,
     Transform, View,
@@ -33,7 +36,7 @@ impl Limit {
 /// An input that must be refused.
 type Trial = fn(&mut Scene) -> ropewalk::Result<()>;
 
-const TRIALS: [(&str, Trial); 20] = [
+const TRIALS: [(&str, Trial); 21] = [
     ("a position that is NaN", |scene| add(scene, Geometry::new([Vec3::NAN, Vec3::X, Vec3::Y], [[0, 1, 2]]))),
     ("a position that is infinite", |scene| add(scene, Geometry::new([Vec3::INFINITY, Vec3::X, Vec3::Y], [[0, 1, 2]]))),
     ("an index beyond the positions", |scene| add(scene, Geometry::new([Vec3::ZERO, Vec3::X, Vec3::Y], [[0, 1, 3]]))),
@@ -85,8 +88,12 @@ const TRIALS: [(&str, Trial); 20] = [
         let ray = Ray { t_max: f64::NAN, ..Ray::new(DVec3::ZERO, DVec3::X) };
         renderer()?.queries(scene)?.closest_hit(&ray).map(drop)
     }),
-    ("a view with more reflections than View::MAX_DEPTH", |scene| {
-        let view = View { max_depth: View::MAX_DEPTH + 1, ..view(8, 8) };
+    ("a ray of an executor whose direction is below 2^-100", |_| {
+        let ray = RayRecord { origin: [0.0; 3], t_min: 0.0, direction: [1e-36, 0.0, 0.0], t_max: 1.0 };
+        Cpu::default().closest_hits(&DeviceArrays::default(), &[ray], NONE).map(drop)
+    }),
+    ("a view that ends paths at a negative throughput", |scene| {
+        let view = View { min_throughput: -0.1, ..view(8, 8) };
         renderer()?.render(scene, &view).map(drop)
     }),
     ("a field of view of 180 degrees", |scene| {

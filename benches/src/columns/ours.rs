@@ -193,6 +193,13 @@ pub struct Traced<'a>(pub Executor, pub &'a Placed);
 
 impl Column for Traced<'_> {
     fn closest(&self, rays: &[RayRecord]) -> Result<Vec<Hit>> {
+        // Executors refuse a batch with a ray that is not valid; such a ray hits nothing.
+        let valid: Vec<RayRecord> = rays.iter().filter(|ray| ray.validate().is_ok()).copied().collect();
+        if valid.len() < rays.len() {
+            let mut hits = self.closest(&valid)?.into_iter();
+            let hit = |ray: &RayRecord| ray.validate().ok().and_then(|()| hits.next());
+            return Ok(rays.iter().map(hit).map(|hit| hit.unwrap_or(Hit::MISS)).collect());
+        }
         let Self(executor, placed) = self;
         let mut guard = placed.lock();
         let (scene, compiler) = &mut *guard;

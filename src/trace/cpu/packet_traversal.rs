@@ -15,9 +15,9 @@ use super::ray_packet::LocalPacket;
 use super::shear::Shear;
 use super::simd::{F32Lanes, LANES, load, map_axes, splat_axes};
 use super::single_traversal::{SingleScratch, intersect_leaf_single_rays, traverse_single_rays};
-use super::triangle_test::{PlaneOperands, intersect_triangles, triangle_box};
+use super::triangle_test::{PlaneOperands, intersect_triangles};
 use crate::device::layout::{PrimitiveRange, Triangle, WideNode};
-use crate::trace::kernel::scaled_normal;
+use crate::trace::kernel::{padded_box, scaled_normal};
 
 /// At or below this many active rays the packet switches to single-ray traversal.
 pub(super) const SINGLE_RAY_THRESHOLD: u32 = 2;
@@ -108,7 +108,7 @@ impl<'a, S: Simd, Q: PacketQuery, N: NodeTest<'a, S>> PacketTraversal<'a, S, Q, 
             [load(&rays.slopes[0]), load(&rays.slopes[1])],
             #[inline(always)]
             || {
-                let [least, greatest] = triangle_box(triangle);
+                let [least, greatest] = padded_box(triangle);
                 PlaneOperands {
                     origin: [load(&rays.origins[0]), load(&rays.origins[1]), load(&rays.origins[2])],
                     direction: [load(&rays.directions[0]), load(&rays.directions[1]), load(&rays.directions[2])],
@@ -118,8 +118,8 @@ impl<'a, S: Simd, Q: PacketQuery, N: NodeTest<'a, S>> PacketTraversal<'a, S, Q, 
                         splat_axes(simd, triangle.v1),
                         splat_axes(simd, triangle.v2),
                     ],
-                    least: splat_axes(simd, least),
-                    greatest: splat_axes(simd, greatest),
+                    least: splat_axes(simd, least.to_array()),
+                    greatest: splat_axes(simd, greatest.to_array()),
                     normal: splat_axes(simd, scaled_normal(triangle).to_array()),
                 }
             },

@@ -9,9 +9,10 @@ use super::blas_traversal::{ChildVisit, MAX_NODE_DEPTH, NodeVisitor, Stack, trav
 use super::packet_queries::{InstanceGeometry, PacketQuery, QueryLane};
 use super::ray_packet::LocalPacket;
 use super::shear::{Shear, inverse_shear_axes};
-use super::simd::{F32Lanes, LANES, lanes_of, load, map_axes, max_component, min_component};
+use super::simd::{F32Lanes, LANES, lanes_of, load, map_axes};
 use super::triangle_test::{
-    PlaneOperands, edge_scale, first_four, gather_corners, intersect_triangles, scaled_normals, split_corners,
+    PlaneOperands, edge_scale, first_four, gather_corners, intersect_triangles, padded_boxes, scaled_normals,
+    split_corners,
 };
 use super::wide_node::{child_planes, grid_step, hit_slots, near_far_shuffles, ray_interval};
 use crate::device::layout::{PrimitiveRange, Triangle, WideNode};
@@ -259,6 +260,7 @@ fn intersect_four_triangles<S: Simd>(
             );
             let corners = [[x[0], y[0], z[0]], [x[1], y[1], z[1]], [x[2], y[2], z[2]]];
             let edge_scales = [edge_scale(&four[0]), edge_scale(&four[1]), edge_scale(&four[2]), edge_scale(&four[3])];
+            let [least, greatest] = padded_boxes(corners);
             PlaneOperands {
                 origin: map_axes(
                     [0, 1, 2],
@@ -276,8 +278,8 @@ fn intersect_four_triangles<S: Simd>(
                     |axis: usize| splat_lane::<S, f32x4<S>>(simd, &rays.reciprocals[axis], lane),
                 ),
                 corners,
-                least: [min_component(x), min_component(y), min_component(z)],
-                greatest: [max_component(x), max_component(y), max_component(z)],
+                least,
+                greatest,
                 normal: scaled_normals(corners, edge_scales.simd_into(simd)),
             }
         },

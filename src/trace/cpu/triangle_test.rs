@@ -9,6 +9,7 @@ use glam::Vec3;
 
 use super::shear::SHEAR_AXES;
 use super::simd::{abs, map_axes, max_component, min_component};
+use crate::accel::SIDE_MARGIN;
 use crate::device::layout::Triangle;
 use crate::trace::kernel::{
     self, CORNER_TOLERANCE, EDGE_TOLERANCE, SQRT_MAX_QUOTIENT, START_ZONE, reciprocal_power_of_two,
@@ -29,7 +30,7 @@ pub(super) struct PlaneOperands<V> {
     pub(super) direction: [V; 3],
     pub(super) reciprocals: [V; 3],
     pub(super) corners: [[V; 3]; 3],
-    /// The boxes of the triangles.
+    /// The padded boxes of the triangles.
     pub(super) least: [V; 3],
     pub(super) greatest: [V; 3],
     /// The normals of the triangles, from edges that are scaled to about 1 by a power of two.
@@ -163,7 +164,8 @@ fn plane_distances<S: Simd, V: SimdFloat<S, Element = f32>>(
     is_in_plane.select(is_first.select(t[0], is_second.select(t[1], t[2])), height / slope)
 }
 
-/// The intervals of t in which the rays are within the triangles' boxes: what the kernel's `clamp_to_box` clamps to.
+/// The intervals of t in which the rays are within the triangles' padded boxes: what the kernel's `clamp_to_box` clamps
+/// to.
 #[inline(always)]
 fn box_interval<S: Simd, V: SimdFloat<S, Element = f32>>(operands: &PlaneOperands<V>) -> [V; 2] {
     let planes = map_axes(
@@ -180,11 +182,26 @@ fn box_interval<S: Simd, V: SimdFloat<S, Element = f32>>(operands: &PlaneOperand
     [max_component([x[0], y[0], z[0]]), min_component([x[1], y[1], z[1]])]
 }
 
-/// The least and the greatest corner of a triangle's box.
+/// The kernel's `padded_box` of triangles in lanes.
 #[inline(always)]
-pub(super) fn triangle_box(triangle: &Triangle) -> [[f32; 3]; 2] {
-    let [v0, v1, v2] = [triangle.v0, triangle.v1, triangle.v2].map(Vec3::from_array);
-    [v0.min(v1).min(v2).to_array(), v0.max(v1).max(v2).to_array()]
+pub(super) fn padded_boxes<S: Simd, V: SimdFloat<S, Element = f32>>([v0, v1, v2]: [[V; 3]; 3]) -> [[V; 3]; 2] {
+    let axes = [0, 1, 2];
+    let least = map_axes(
+        axes,
+        #[inline(always)]
+        |axis: usize| v0[axis].min(v1[axis]).min(v2[axis]),
+    );
+    let greatest = map_axes(
+        axes,
+        #[inline(always)]
+        |axis: usize| v0[axis].max(v1[axis]).max(v2[axis]),
+    );
+    let sides = [greatest[0] - least[0], greatest[1] - least[1], greatest[2] - least[2]];
+    let margin = max_component(sides) * SIDE_MARGIN;
+    [
+        [least[0] - margin, least[1] - margin, least[2] - margin],
+        [greatest[0] + margin, greatest[1] + margin, greatest[2] + margin],
+    ]
 }
 
 /// The kernel's `scaled_normal` of triangles in lanes, whose edges are scaled by `edge_scale`.

@@ -54,13 +54,16 @@
 //! 6. **Order.** The closest hit must not depend on which of two hits is found first: a hit at t must not lie in a box
 //!    that is entered only behind another hit at a greater t. Rounding, as of a plane that the ray grazes or of a
 //!    corner far away, may take t there. So t is clamped to the interval in which the ray is within the triangle's own
-//!    box, by the operations of the slab test: these are monotonic, so every box around the triangle is entered at or
-//!    before t and left at or behind it. A box around a part of the triangle (spatial splits, kd-tree) is not around
-//!    the rest: there a hit may still be missed where the error of t exceeds what `T_BEFORE_SCALE` allows (`query.rs`).
+//!    box, padded by as little as that of a node around it, by the operations of the slab test: these are monotonic, so
+//!    every box around the triangle is entered at or before t and left at or behind it. Without the padding a ray that
+//!    the tolerance admits could be beside the box, and t anywhere. A box around a part of the triangle (spatial
+//!    splits, kd-tree) is not around the rest: there a hit may still be missed where the error of t exceeds what
+//!    `T_BEFORE_SCALE` allows (`query.rs`).
 
 use glam::Vec3;
 
 use super::math::{cross3, dot3, max, min};
+use crate::accel::SIDE_MARGIN;
 use crate::device::layout::{Node, Triangle};
 
 /// Factor on a box's entry distance that covers the rounding of point 3.
@@ -280,12 +283,21 @@ pub(crate) fn intersect_triangle(ray: &ShearRay, triangle: &Triangle) -> Option<
     Some(TriangleHit { t: t_hit, u: weights.y, v: weights.z, back })
 }
 
-/// Clamps t to the interval in which the ray is within the triangle's box (point 6), as the slab test computes it.
+/// The least and the greatest corner of a triangle's box, padded by the least that the box of a node around it is.
 #[inline]
-fn clamp_to_box(ray: &ShearRay, triangle: &Triangle, t: f32) -> f32 {
+pub(crate) fn padded_box(triangle: &Triangle) -> [Vec3; 2] {
     let [v0, v1, v2] = [triangle.v0, triangle.v1, triangle.v2].map(Vec3::from_array);
     let least = Vec3::new(min(min(v0.x, v1.x), v2.x), min(min(v0.y, v1.y), v2.y), min(min(v0.z, v1.z), v2.z));
     let greatest = Vec3::new(max(max(v0.x, v1.x), v2.x), max(max(v0.y, v1.y), v2.y), max(max(v0.z, v1.z), v2.z));
+    let margin = max_component(greatest - least) * SIDE_MARGIN;
+    [least - margin, greatest + margin]
+}
+
+/// Clamps t to the interval in which the ray is within the triangle's padded box (point 6), as the slab test computes
+/// it.
+#[inline]
+fn clamp_to_box(ray: &ShearRay, triangle: &Triangle, t: f32) -> f32 {
+    let [least, greatest] = padded_box(triangle);
     let a = (least - ray.origin) * ray.reciprocal_direction;
     let b = (greatest - ray.origin) * ray.reciprocal_direction;
     let entry = max(max(min(a.x, b.x), min(a.y, b.y)), min(a.z, b.z));
@@ -327,8 +339,9 @@ pub(crate) fn scaled_normal(triangle: &Triangle) -> Vec3 {
 
 #[cfg(test)]
 mod tests {
-    use glam::DVec3;
+    use glam::{DVec3, Vec3Swizzles as _};
 
+    use super::super::math::length3;
     use super::*;
 
     fn triangle([v0, v1, v2]: [Vec3; 3]) -> Triangle {
@@ -422,6 +435,35 @@ mod tests {
         // Along two axes only what is left when the normal cancels.
         let is_flat = normal.to_array().iter().filter(|&&n| n != 0.0).count() == 1;
         Some((t, if is_flat { 5.0 * HALF_ULP * t.abs() } else { 2.0 * error }))
+    }
+
+    /// Rays at points of edges and corners, many of them nearly along an axis: where the tolerance admits them, or the
+    /// box of the triangle is touched only, t is still that of the point.
+    #[test]
+    fn distances_at_edges_are_those_of_the_edge() {
+        let mut random = Random(fastrand::Rng::with_seed(9));
+        let mut hits = 0;
+        for i in 0..200_000 {
+            let corners = [0; 3].map(|_| random.in_cube());
+            let normal = cross3(corners[1] - corners[0], corners[2] - corners[0]);
+            // A point of an edge, or a corner.
+            let along = [0.0, 1.0, random.next()][i % 3];
+            let target = corners[0] * (1.0 - along) + corners[1] * along;
+            // A direction of which some components are small.
+            let small = [1.0, 1e-3, 1e-6, 1e-9, 0.0];
+            let scales = Vec3::new(1.0, small[i / 3 % 5], small[i / 15 % 5]);
+            let direction = random.in_cube() * [scales, scales.yzx(), scales.zxy()][i / 75 % 3];
+            if dot3(direction, normal).abs() < 0.05 * length3(direction) * length3(normal) {
+                continue;
+            }
+            let origin = target - direction * (2.0 / length3(direction));
+            let ray = sheared(origin, target - origin, 4.0);
+            if let Some(hit) = intersect_triangle(&ray, &triangle(corners)) {
+                assert!((hit.t - 1.0).abs() < 2e-4, "{corners:?} at {target} along {direction}: {}", hit.t);
+                hits += 1;
+            }
+        }
+        assert!(hits > 50_000, "{hits}");
     }
 
     #[test]

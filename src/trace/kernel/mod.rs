@@ -26,8 +26,8 @@ mod wide;
 pub(crate) use camera::camera_ray;
 pub(crate) use intersect::{
     BOX_ENTRY_SCALE, CORNER_TOLERANCE, EDGE_TOLERANCE, MIN_COMPONENT, MIN_RELATIVE_COMPONENT, SHEARED_EXTENT,
-    SQRT_MAX_QUOTIENT, START_ZONE, SlabRay, TriangleHit, intersects_box, max_component, reciprocal_power_of_two,
-    scaled_normal, shear_ray, slab_ray,
+    SQRT_MAX_QUOTIENT, START_ZONE, SlabRay, TriangleHit, intersects_box, max_component, padded_box,
+    reciprocal_power_of_two, scaled_normal, shear_ray, slab_ray,
 };
 pub(crate) use light::LightSample;
 #[cfg(test)]
@@ -101,6 +101,7 @@ impl<'a> KernelScene<'a> {
 mod tests {
     use std::collections::BTreeMap;
 
+    use crate::accel::SIDE_MARGIN;
     use crate::device::layout::{
         InstanceFlags, LIGHT_DIRECTIONAL, LIGHT_POINT, LIGHT_SPOT, MaterialFlags, NONE, Node, TextureFlags,
     };
@@ -138,6 +139,7 @@ mod tests {
         };
         let others = [
             ("NONE", NONE.to_string()),
+            ("SIDE_MARGIN", format!("{SIDE_MARGIN:?}")),
             ("UNUSED_COORDINATE", format!("{:?}", Node::UNUSED_COORDINATE)),
             ("INSTANCE_LAYERED", super::query::LAYERED.bits().to_string()),
             ("NEAR_FIRST", (VisitOrder::NearFirst as u32).to_string()),
