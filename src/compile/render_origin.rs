@@ -31,7 +31,8 @@ pub(super) enum Focus {
 /// become large enough for one that it does hold. Otherwise camera motion changes nothing on the device. Where nothing
 /// is placed, the origin follows the eye.
 ///
-/// For rays: positions are not exact enough for what is near them, and would be more so with an origin in their middle.
+/// For rays: as for an eye in the middle of their starts, or positions are not exact enough for what is near any of
+/// them; but only if an origin in their middle would be nearer to them than this one.
 pub(super) fn must_rebase(focus: &Focus, origin: DVec3, tlas: &[Node]) -> bool {
     match focus {
         Focus::Eye(eye) if used_root(tlas).is_none() => origin != on_grid(*eye, f64::INFINITY),
@@ -42,7 +43,9 @@ pub(super) fn must_rebase(focus: &Focus, origin: DVec3, tlas: &[Node]) -> bool {
         Focus::RayStarts(starts) => {
             let relative = Bounds { min: starts.min - origin, max: starts.max - origin };
             let farthest = relative.min.abs().max(relative.max.abs()).length();
-            relative.center().length() > relative.radius() && has_extent_below(tlas, &relative, farthest / FREE_EXTENTS)
+            relative.center().length() > relative.radius()
+                && (is_beyond_free_distance(tlas, relative.center())
+                    || has_extent_below(tlas, &relative, farthest / FREE_EXTENTS))
         }
         Focus::Unchanged => false,
     }
@@ -54,7 +57,8 @@ pub(super) fn best_origin(focus: &Focus, origin: DVec3, tlas: &[Node]) -> DVec3 
         Focus::Eye(eye) => on_grid(*eye, free_distance(tlas, *eye - origin)),
         Focus::RayStarts(starts) => {
             let relative = Bounds { min: starts.min - origin, max: starts.max - origin };
-            on_grid(starts.center(), nearest_extent(tlas, &relative, f64::INFINITY) * FREE_EXTENTS)
+            let free = nearest_extent(tlas, &relative, f64::INFINITY) * FREE_EXTENTS;
+            on_grid(starts.center(), free.min(free_distance(tlas, relative.center())))
         }
         Focus::Unchanged => origin,
     }

@@ -5,7 +5,7 @@
 //! plane lies left of an edge is decided by the rounded projections of its ends where their error cannot change it,
 //! else exactly: by the orientation of the ray's line and the edge in space (J. R. Shewchuk, *Adaptive Precision
 //! Floating-Point Arithmetic and Fast Robust Geometric Predicates*, 1997). The line goes through two points of a grid
-//! of 2^-50 of the origin's distance, so that the way from one to the other is exact too.
+//! of 2^-50 of their coordinates, so that the way from one to the other is exact too.
 //!
 //! If the line meets the edge exactly, it is perturbed symbolically: moved by an infinitesimal amount in x and a yet
 //! smaller one in y (H. Edelsbrunner, E. P. Mücke, *Simulation of Simplicity*, 1990). Of two triangles that share the
@@ -35,8 +35,8 @@ struct Line {
     from: DVec3,
     to: DVec3,
     along: DVec3,
-    /// A bound of the greatest coordinate of `from`, a power of two.
-    extent: f64,
+    /// A bound of how far the grid has moved `from`, and `along`, on each axis.
+    error: DVec3,
 }
 
 /// The intersection of a ray with a triangle.
@@ -131,9 +131,9 @@ struct Edge {
     length: f64,
 }
 
-/// Bounds the rounding error of a projected coordinate relative to those of the vertex and the ray's origin: 1 epsilon
-/// for a difference, 2 for a slope, 1 each for a product and a sum, 8 for the grid of the line; rounded up.
-const PROJECTION_ERROR_BOUND: f64 = 16.0 * f64::EPSILON;
+/// Bounds the rounding error of a projected coordinate relative to the difference of vertex and origin, and to the way
+/// that the slope takes it: 1 epsilon for a difference, 2 for a slope, 1 each for a product and a sum; rounded up.
+const PROJECTION_ERROR_BOUND: f64 = 8.0 * f64::EPSILON;
 
 impl TraversalRay {
     fn project(&self, corner: [f32; 3]) -> Corner {
@@ -141,7 +141,13 @@ impl TraversalRay {
         let position = DVec3::from_array(corner.map(f64::from));
         let relative = position - self.origin;
         let projected = DVec2::new(relative[x], relative[y]) - self.slope * relative[z];
-        let error = PROJECTION_ERROR_BOUND * (relative.abs().max_element() + self.line.extent);
+        let depth = relative[z].abs();
+        let rounding = DVec2::new(relative[x], relative[y]).abs() + self.slope.abs() * depth;
+        // The grid of the line moves its start, and turns it by the errors of its direction along x or y, and along z.
+        let Line { error, along, .. } = &self.line;
+        let moved = DVec2::new(error[x], error[y]) + self.slope.abs() * error[z];
+        let moved = moved * (1.0 + depth / along[z].abs());
+        let error = (rounding * PROJECTION_ERROR_BOUND + moved).max_element();
         Corner { position, projected, error }
     }
 
@@ -161,13 +167,16 @@ impl TraversalRay {
 impl Line {
     fn new(origin: DVec3, direction: DVec3) -> Self {
         let greatest = origin.abs().max_element();
-        let extent = if greatest > 0.0 { 2.0 * power_of_two(greatest) } else { 1.0 };
-        // Adding and subtracting 1.5 * 2^52 grid steps rounds to the grid: 2^-50 of the extent.
-        let to_grid = 6.0 * extent;
+        let length = if greatest > 0.0 { power_of_two(greatest) } else { 1.0 };
+        let along = direction / power_of_two(direction.abs().max_element()) * length;
+        // Each axis has a grid of its own: 2^-50 of a power of two above both coordinates.
+        let greater = origin.abs().max(along.abs());
+        let extent = DVec3::from_array(greater.to_array().map(|x| if x > 0.0 { 2.0 * power_of_two(x) } else { 1.0 }));
+        // Adding and subtracting 1.5 * 2^52 grid steps rounds to the grid.
+        let to_grid = extent * 6.0;
         let snap = |v: DVec3| (v + to_grid) - to_grid;
-        let from = snap(origin);
-        let along = snap(direction / power_of_two(direction.abs().max_element()) * (0.5 * extent));
-        Self { from, to: from + along, along, extent }
+        let (from, along) = (snap(origin), snap(along));
+        Self { from, to: from + along, along, error: extent * (4.0 * f64::EPSILON) }
     }
 
     /// Whether the line passes left of an edge, as seen along the last axis. Exact; where they meet, the line is

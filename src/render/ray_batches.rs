@@ -80,10 +80,11 @@ impl Renderer {
     /// passes an edge within this rounding may hit or miss, and [`t_min`](Ray::t_min) and [`t_max`](Ray::t_max) are
     /// exact only up to it.
     ///
-    /// That rounding is 2^-24 of the distance to the render origin, which moves to where the rays start if they are too
-    /// far from it for what is near them: if that is more than 2^-16 of the size of something there, or of its
-    /// distance. This writes all instances anew, O(instances). Rays that start in several places, so far apart that no
-    /// origin suits all of them (more than 2^-8), are traced place by place, up to 64.
+    /// That rounding is 2^-24 of the distance to the render origin, which moves to where the rays start if they are
+    /// farther from it than a camera may be, or too far for what is near them: if the rounding is more than 2^-16 of
+    /// the size of something there, or of its distance. This writes all instances anew, O(instances). Rays that start
+    /// in several places, so far apart that no origin suits all of them (more than 2^-8), are traced place by place, up
+    /// to 64.
     ///
     /// ```
     /// use ropewalk::glam::{DVec3, Vec3};

@@ -1,5 +1,7 @@
 //! Matrices that shear: how far f32 displaces what they place, and what is said of it.
 
+#![expect(clippy::unwrap_used, reason = "a panic in a test is a failure")]
+
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 use ropewalk::compile::{CompileReport, Compiler};
 use ropewalk::query::Queries;
