@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Parser, ValueEnum};
-use ropewalk::{DeviceChoice, View};
+use ropewalk::DeviceChoice;
 
 /// Shows a glTF file, or without one a scene made in code, in a window.
 #[derive(Clone, Debug, Parser)]

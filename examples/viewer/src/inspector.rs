@@ -2,7 +2,7 @@
 
 use egui::{ComboBox, DragValue, Grid, Label, RichText, Sense, Slider, TextEdit, Ui, Vec2, vec2};
 use glam::{DQuat, DVec3, EulerRot};
-use ropewalk::{Core, DeviceChoice, NodeKey, Scene, Transform, View};
+use ropewalk::{Core, DeviceChoice, NodeKey, Scene, Transform};
 
 use crate::app::App;
 use crate::cameras_and_lights::camera_name;
