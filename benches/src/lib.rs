@@ -3,6 +3,7 @@
 //! A figure is a median of several samples, and what counts is the ratio of two figures of one run: everything that is
 //! compared runs in turns, so that whatever else the machine does hits all of them alike.
 
+pub mod aim;
 pub mod bvh_shape;
 pub mod columns;
 pub mod embree;
@@ -11,6 +12,7 @@ pub mod exact;
 pub mod gpu;
 pub mod kernel_counts;
 pub mod layouts;
+pub mod meshes;
 pub mod peers;
 pub mod rays;
 pub mod runner;

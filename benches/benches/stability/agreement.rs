@@ -7,9 +7,9 @@ use ropewalk::device::layout::RayRecord;
 use ropewalk_bench::Result;
 use ropewalk_bench::columns::{Column as _, Executor, Placed, Traced};
 
-use crate::aim::{any, at_all_parts, inside, point, quantised, ray};
-use crate::meshes::{bumpy, grid, moved, turn};
 use crate::row::{Goal, Recipe, Row};
+use ropewalk_bench::aim::{any, at_all_parts, inside, point, quantised, ray};
+use ropewalk_bench::meshes::{bumpy, grid, moved, turn};
 
 pub const ROWS: [Recipe; 12] = [
     Recipe { name: "embree: ray_alignment_test", goal: Goal::Zero, make: alignment },

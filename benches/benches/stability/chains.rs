@@ -5,10 +5,10 @@ use glam::{DAffine3, DMat3, DQuat, DVec3, Vec3};
 use ropewalk::{Material, Transform};
 use ropewalk_bench::Result;
 
-use crate::aim::{at_all_parts, point, quantised};
-use crate::meshes::round;
 use crate::row::{Goal, Recipe, Row};
 use crate::world::World;
+use ropewalk_bench::aim::{at_all_parts, point, quantised};
+use ropewalk_bench::meshes::round;
 
 pub const ROWS: [Recipe; 2] = [
     Recipe { name: "chain of 10,000 quarter turns", goal: Goal::NoLeaks, make: |rays| chain(rays, quarter_turn()) },

@@ -5,10 +5,10 @@ use glam::{DAffine3, DMat3, DQuat, DVec3, Vec3};
 use ropewalk::device::layout::RayRecord;
 use ropewalk_bench::Result;
 
-use crate::aim::{any, at_all_parts, inside, point, quantised, ray};
-use crate::meshes::{bumpy, cube, round};
 use crate::row::{Goal, Recipe, Row, Subject};
 use crate::world::World;
+use ropewalk_bench::aim::{any, at_all_parts, inside, point, quantised, ray};
+use ropewalk_bench::meshes::{bumpy, cube, round};
 
 pub const ROWS: [Recipe; 12] = [
     Recipe { name: "instances that coincide", goal: Goal::Zero, make: coincide },

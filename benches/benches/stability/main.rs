@@ -7,12 +7,10 @@
 //! columns has any of the three. `docs/STABILITY.md` explains the table.
 
 mod agreement;
-mod aim;
 mod chains;
 mod instances;
 mod limits;
 mod markdown;
-mod meshes;
 mod numbers;
 mod refits;
 mod row;

@@ -6,9 +6,9 @@ use ropewalk::device::layout::RayRecord;
 use ropewalk_bench::Result;
 use ropewalk_bench::exact::Ends;
 
-use crate::aim::{at_all_parts, direction, point, quantised, ray, signed};
-use crate::meshes::{bumpy, cube, moved, round};
 use crate::row::{Goal, Recipe, Row};
+use ropewalk_bench::aim::{at_all_parts, direction, point, quantised, ray, signed};
+use ropewalk_bench::meshes::{bumpy, cube, moved, round};
 
 pub const ROWS: [Recipe; 24] = [
     Recipe { name: "embree: nan_test", goal: Goal::NoLeaks, make: |rays| broken(rays, f32::NAN) },

@@ -8,10 +8,10 @@ use ropewalk_bench::Result;
 use ropewalk_bench::columns::Placed;
 use ropewalk_bench::exact::widened;
 
-use crate::aim::{at_all_parts, point, quantised};
-use crate::meshes::{bumpy, moved, round};
 use crate::row::{Goal, Recipe, Row};
 use crate::world::World;
+use ropewalk_bench::aim::{at_all_parts, point, quantised};
+use ropewalk_bench::meshes::{bumpy, moved, round};
 
 pub const ROWS: [Recipe; 6] = [
     Recipe { name: "embree: update", goal: Goal::NoLeaks, make: |rays| deformed(rays, None, breathing) },

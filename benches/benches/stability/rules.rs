@@ -10,10 +10,10 @@ use ropewalk_bench::Result;
 use ropewalk_bench::columns::Placed;
 use ropewalk_bench::exact::{Ends, Oracle, widened};
 
-use crate::aim::{any, at_all_parts, direction, inside, point, quantised, ray};
-use crate::meshes::{bumpy, grid, moved, round};
 use crate::row::{Goal, Recipe, Row};
 use crate::world::World;
+use ropewalk_bench::aim::{any, at_all_parts, direction, inside, point, quantised, ray};
+use ropewalk_bench::meshes::{bumpy, grid, moved, round};
 
 pub const ROWS: [Recipe; 13] = [
     Recipe { name: "embree: ray_masks", goal: Goal::Zero, make: |rays| masks(rays, 1) },

@@ -5,9 +5,9 @@ use glam::Vec3;
 use ropewalk::device::layout::RayRecord;
 use ropewalk_bench::Result;
 
-use crate::aim::{any, corner, direction, inside, on_edge, point, quantised, ray};
-use crate::meshes::{bumpy, cube, round};
 use crate::row::{Goal, Recipe, Row};
+use ropewalk_bench::aim::{any, corner, direction, inside, on_edge, point, quantised, ray};
+use ropewalk_bench::meshes::{bumpy, cube, round};
 
 pub const ROWS: [Recipe; 8] = [
     Recipe { name: "vulkan: inside_aabbs", goal: Goal::NoLeaks, make: inside_boxes },

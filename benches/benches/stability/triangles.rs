@@ -4,9 +4,9 @@ use fastrand::Rng;
 use glam::Vec3;
 use ropewalk_bench::Result;
 
-use crate::aim::{any, at_all_parts, direction, inside, point, quantised, ray, signed};
-use crate::meshes::{cube, grid, moved, round, turn};
 use crate::row::{Goal, Recipe, Row};
+use ropewalk_bench::aim::{any, at_all_parts, direction, inside, point, quantised, ray, signed};
+use ropewalk_bench::meshes::{cube, grid, moved, round, turn};
 
 pub const ROWS: [Recipe; 12] = [
     Recipe { name: "embree: small_triangle_hit, 1e-6", goal: Goal::Open, make: |rays| small(rays, 1e-6) },

@@ -4,9 +4,9 @@ use fastrand::Rng;
 use glam::Vec3;
 use ropewalk_bench::Result;
 
-use crate::aim::{at_all_parts, point, quantised, ray, signed};
-use crate::meshes::{bumpy, cube, fan, grid, moved, round, turn};
 use crate::row::{Goal, Recipe, Row};
+use ropewalk_bench::aim::{at_all_parts, point, quantised, ray, signed};
+use ropewalk_bench::meshes::{bumpy, cube, fan, grid, moved, round, turn};
 
 pub const ROWS: [Recipe; 11] = [
     Recipe { name: "embree: watertight_closed, cube", goal: Goal::Zero, make: |rays| closed(cube(8), 0.9, rays) },

@@ -1,11 +1,12 @@
 //! Meshes whose corners have few bits, so that rays can be aimed at their edges and corners exactly.
 
+use crate::shapes::{bumpy_sphere, sphere};
 use glam::{Mat3, Quat, Vec3};
 use ropewalk::Geometry;
-use ropewalk_bench::shapes::{bumpy_sphere, sphere};
 
 use crate::aim::quantised;
 
+/// The corners of all triangles of a geometry.
 pub fn corners_of(geometry: &Geometry) -> Vec<[Vec3; 3]> {
     let corners = |triangle: &[u32; 3]| triangle.map(|vertex| geometry.positions[vertex as usize]);
     geometry.indices.iter().map(corners).collect()

@@ -8,6 +8,7 @@ use ropewalk::device::layout::RayRecord;
 /// from one to the other.
 const STEP: f32 = 1.0 / (1 << 12) as f32;
 
+/// The nearest point whose coordinates have so few bits.
 pub fn quantised(point: Vec3) -> Vec3 {
     (point / STEP).round() * STEP
 }
