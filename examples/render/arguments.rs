@@ -32,10 +32,10 @@ pub(crate) struct Arguments {
     #[arg(long, value_name = "N", default_value = "3")]
     pub(crate) depth: u32,
     /// Paths end where they contribute no more than this share of their light to a pixel
-    #[arg(long, value_name = "SHARE", default_value_t = View::DEFAULT_MIN_THROUGHPUT)]
+    #[arg(long, value_name = "SHARE", default_value_t = View::DEFAULT_MIN_THROUGHPUT, value_parser = parse_share)]
     pub(crate) min_throughput: f32,
     /// The camera sees nothing nearer than this, in world units
-    #[arg(long, value_name = "DISTANCE", default_value = "0")]
+    #[arg(long, value_name = "DISTANCE", default_value = "0", value_parser = parse_distance)]
     pub(crate) near: f32,
     /// Rays that a pixel may take; one that needs more shows the nearest opaque surface behind them
     #[arg(long, value_name = "N", default_value = "1024", value_parser = clap::value_parser!(u32).range(1..))]
@@ -180,6 +180,15 @@ fn one_line(error: &clap::Error) -> String {
         text.lines().map(str::trim).take_while(|line| !line.starts_with("Usage:") && !line.starts_with("For more"));
     let line = lines.filter(|line| !line.is_empty()).collect::<Vec<_>>().join(" ");
     line.trim_start_matches("error: ").to_owned()
+}
+
+fn parse_share(text: &str) -> Result<f32, String> {
+    text.parse().ok().filter(|share| (0.0..=1.0).contains(share)).ok_or_else(|| "must be a number, 0 to 1".to_owned())
+}
+
+fn parse_distance(text: &str) -> Result<f32, String> {
+    let is_distance = |distance: &f32| distance.is_finite() && *distance >= 0.0;
+    text.parse().ok().filter(is_distance).ok_or_else(|| "must be a finite number, at least 0".to_owned())
 }
 
 fn parse_size(text: &str) -> Result<(u32, u32), String> {
