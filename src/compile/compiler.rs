@@ -185,8 +185,7 @@ impl Compiler {
     /// Whether an instance has less than this extent, as seen from within these bounds: its distance and its radius. A
     /// position is exact enough if its error is small beside that.
     pub(crate) fn has_detail_below(&self, bounds: &Bounds, extent: f64) -> bool {
-        let relative = Bounds { min: bounds.min - self.origin, max: bounds.max - self.origin };
-        has_extent_below(&self.arrays.tlas_nodes, &relative, extent)
+        has_extent_below(&self.arrays.tlas_nodes, &bounds.relative_to(self.origin), extent)
     }
 
     /// The device arrays of the compiled scene.

@@ -106,9 +106,8 @@ const MAX_FIRST_ORDER_DISPLACEMENT: f64 = 1.0 / 256.0;
 /// *Scaling for Numerical Stability in Gaussian Elimination*, 1979).
 fn displacement(world_from_local: &DMat3, local_from_world: &DMat3) -> f64 {
     let products = world_from_local.abs() * local_from_world.abs();
-    let rows = products.transpose();
-    let greatest = [rows.x_axis, rows.y_axis, rows.z_axis].map(DVec3::element_sum).into_iter().fold(0.0, f64::max);
-    greatest / f64::from(1 << 24)
+    // The greatest sum of a row.
+    (products * DVec3::ONE).max_element() / f64::from(1 << 24)
 }
 
 /// The matrix relative to the render origin, with a [least thickness](with_least_thickness) along an axis that it

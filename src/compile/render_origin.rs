@@ -5,10 +5,10 @@
 //! ([`on_grid`]): a translation that is a multiple of the grid's step, within 2^24 steps of the origin, then differs
 //! from it by a number that f32 has, and an instance that is not turned or scaled there is placed exactly.
 
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 
 use crate::device::layout::Node;
-use crate::math::{Aabb, Bounds};
+use crate::math::{Aabb, Bounds, power_of_two};
 
 /// The free distance by what is near, in units of the [nearest extent](nearest_extent): 2^8, which bounds the error of
 /// a position by 2^-16 of the distance or the size of whatever is seen from the eye.
@@ -41,7 +41,7 @@ pub(super) fn must_rebase(focus: &Focus, origin: DVec3, tlas: &[Node]) -> bool {
                 || (!fits_f32(origin) && fits_f32(best_origin(focus, origin, tlas)))
         }
         Focus::RayStarts(starts) => {
-            let relative = Bounds { min: starts.min - origin, max: starts.max - origin };
+            let relative = starts.relative_to(origin);
             let farthest = relative.min.abs().max(relative.max.abs()).length();
             relative.center().length() > relative.radius()
                 && (is_beyond_free_distance(tlas, relative.center())
@@ -56,7 +56,7 @@ pub(super) fn best_origin(focus: &Focus, origin: DVec3, tlas: &[Node]) -> DVec3 
     match focus {
         Focus::Eye(eye) => on_grid(*eye, free_distance(tlas, *eye - origin)),
         Focus::RayStarts(starts) => {
-            let relative = Bounds { min: starts.min - origin, max: starts.max - origin };
+            let relative = starts.relative_to(origin);
             let free = nearest_extent(tlas, &relative, f64::INFINITY) * FREE_EXTENTS;
             on_grid(starts.center(), free.min(free_distance(tlas, relative.center())))
         }
@@ -84,9 +84,9 @@ fn is_beyond_free_distance(tlas: &[Node], eye: DVec3) -> bool {
 }
 
 fn free_distance_of_scene(tlas: &[Node], eye: DVec3) -> f64 {
-    let Some(scene) = used_root(tlas).map(node_bounds) else { return f64::INFINITY };
-    let to_scene = (scene.min - eye).max(eye - scene.max).max(DVec3::ZERO).length();
-    (scene.radius() / 256.0).max(to_scene * 16.0)
+    let Some(root) = used_root(tlas) else { return f64::INFINITY };
+    let (to_scene, radius) = distance_and_radius(root, &point(eye));
+    (radius / 256.0).max(to_scene * 16.0)
 }
 
 /// The least extent of what can be seen from a box of eyes, at most `limit`: of all instances the least sum of the
@@ -125,7 +125,7 @@ fn visit_leaves(tlas: &[Node], mut enter: impl FnMut(&Node) -> bool) {
 }
 
 fn distance_and_radius(node: &Node, eyes: &Bounds) -> (f64, f64) {
-    let bounds = node_bounds(node);
+    let bounds = Bounds::from(Aabb { min: node.min.into(), max: node.max.into() });
     let distance = (bounds.min - eyes.max).max(eyes.min - bounds.max).max(DVec3::ZERO).length();
     (distance, bounds.radius())
 }
@@ -133,10 +133,6 @@ fn distance_and_radius(node: &Node, eyes: &Bounds) -> (f64, f64) {
 /// The root of a TLAS in which there is an instance.
 fn used_root(tlas: &[Node]) -> Option<&Node> {
     tlas.first().filter(|root| !root.is_empty_root())
-}
-
-fn node_bounds(node: &Node) -> Bounds {
-    Aabb { min: Vec3::from(node.min), max: Vec3::from(node.max) }.into()
 }
 
 fn point(position: DVec3) -> Bounds {
@@ -153,7 +149,8 @@ fn point(position: DVec3) -> Bounds {
 /// Without a scene, the free distance being infinite, the origin depends on the eye alone; so in most scenes it does
 /// not depend on what was edited in which order.
 fn on_grid(eye: DVec3, free_distance: f64) -> DVec3 {
-    let step = power_of_two((eye.abs().max_element() / f64::from(1 << 14)).min(free_distance / 8.0));
+    let coarsest = (eye.abs().max_element() / f64::from(1 << 14)).min(free_distance / 8.0);
+    let step = if coarsest < f64::MIN_POSITIVE { 0.0 } else { power_of_two(coarsest) };
     let snap = |x: f64| {
         // A number of 2^52 steps or more is a multiple of the step already.
         let steps = (x / step).trunc();
@@ -165,11 +162,6 @@ fn on_grid(eye: DVec3, free_distance: f64) -> DVec3 {
 /// Whether f32 has the point: with it as render origin identity placements are exact.
 fn fits_f32(point: DVec3) -> bool {
     point.as_vec3().as_dvec3() == point
-}
-
-/// The greatest power of two that is not above `value`; 0 for 0 and subnormal numbers.
-fn power_of_two(value: f64) -> f64 {
-    f64::from_bits(value.to_bits() & f64::INFINITY.to_bits())
 }
 
 #[cfg(test)]

@@ -89,6 +89,11 @@ impl Bounds {
         other.is_empty() || (self.min.cmple(other.min).all() && self.max.cmpge(other.max).all())
     }
 
+    /// The box relative to a point.
+    pub(crate) fn relative_to(&self, point: DVec3) -> Self {
+        Self { min: self.min - point, max: self.max - point }
+    }
+
     /// The bounding box of the transformed box, in the transform's target space (J. Arvo, 1990: exact for the box, an
     /// overestimate for its contents). An empty box stays empty.
     #[must_use]

@@ -16,6 +16,7 @@ use glam::{DVec2, DVec3};
 use robust::{Coord3D, orient3d};
 
 use crate::device::layout::{Node, Triangle};
+use crate::math::power_of_two;
 
 /// A ray prepared for traversal, in world space for the TLAS or in local space for a BLAS.
 pub(super) struct TraversalRay {
@@ -211,11 +212,6 @@ fn weights_along(from: DVec2, to: DVec2) -> (f64, f64) {
 fn sign_of_difference([a, b]: [f64; 2], [c, d]: [f64; 2]) -> f64 {
     let (p, q) = (a * b, c * d);
     if p == q { a.mul_add(b, -p) - c.mul_add(d, -q) } else { p - q }
-}
-
-/// The greatest power of two that is not above `value`, a positive number; at least the least normal one.
-fn power_of_two(value: f64) -> f64 {
-    f64::from_bits(value.to_bits() & f64::INFINITY.to_bits()).max(f64::MIN_POSITIVE)
 }
 
 #[cfg(test)]

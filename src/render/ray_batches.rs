@@ -8,7 +8,7 @@ use crate::Result;
 use crate::compile::Compiler;
 use crate::device::layout::{self, NONE};
 use crate::graph::Scene;
-use crate::math::Bounds;
+use crate::math::{Bounds, power_of_two};
 use crate::query::{Hit, Queries, Ray};
 
 /// Which nodes rays of a batch can hit: those whose mask, combined (and) with the masks of all nodes above, has a bit
@@ -381,11 +381,6 @@ fn start_within(ray: &Ray, bounds: &Bounds) -> Option<DVec3> {
     let entry = box_entry(bounds, ray.origin, direction)?;
     let t = entry.max((ray.t_min * t_scale).clamp(f64::MIN, 0.0));
     Some((ray.origin + direction * t).clamp(bounds.min, bounds.max))
-}
-
-/// The greatest power of two that is not above `value`, a positive number; at least the least normal one.
-fn power_of_two(value: f64) -> f64 {
-    f64::from_bits(value.to_bits() & f64::INFINITY.to_bits()).max(f64::MIN_POSITIVE)
 }
 
 /// The t at which a line enters a box; `None` if it passes the box, or the box is empty.

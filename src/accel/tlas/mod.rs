@@ -99,9 +99,8 @@ struct Updated {
 
 impl Tlas {
     /// A hierarchy is rebuilt when its cost exceeds this multiple of its cost after the last build, unless another
-    /// limit is [set](Self::set_max_cost_ratio). The larger of two
-    /// ratios counts: that of the summed area of all inner nodes below the root, and that of the [SAH
-    /// cost](Self::sah_cost) without the share of the leaves.
+    /// limit is [set](Self::set_max_cost_ratio). The larger of two ratios counts: that of the summed area of all inner
+    /// nodes below the root, and that of the [SAH cost](Self::sah_cost) without the share of the leaves.
     pub const MAX_COST_RATIO: f64 = policy::MAX_COST_RATIO;
 
     /// The most levels of a hierarchy that this type builds.

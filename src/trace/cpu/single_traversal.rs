@@ -11,12 +11,11 @@ use super::ray_packet::LocalPacket;
 use super::shear::{Shear, inverse_shear_axes};
 use super::simd::{F32Lanes, LANES, lanes_of, load, map_axes};
 use super::triangle_test::{
-    PlaneOperands, edge_scale, first_four, gather_corners, intersect_triangles, padded_boxes, scaled_normals,
-    split_corners,
+    PlaneOperands, first_four, gather_corners, intersect_triangles, padded_boxes, scaled_normals, split_corners,
 };
 use super::wide_node::{child_planes, grid_step, hit_slots, near_far_shuffles, ray_interval};
 use crate::device::layout::{PrimitiveRange, Triangle, WideNode};
-use crate::trace::kernel::{BOX_ENTRY_SCALE, TriangleHit};
+use crate::trace::kernel::{BOX_ENTRY_SCALE, TriangleHit, edge_scale};
 
 /// Scratch memory of single-ray traversal. Reused without clearing; each entry is written before it is read.
 #[derive(Clone, Copy, Zeroable)]

@@ -5,15 +5,12 @@
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x4, f32x16};
-use glam::Vec3;
 
 use super::shear::SHEAR_AXES;
 use super::simd::{abs, map_axes, max_component, min_component};
 use crate::accel::SIDE_MARGIN;
 use crate::device::layout::Triangle;
-use crate::trace::kernel::{
-    self, CORNER_TOLERANCE, EDGE_TOLERANCE, SQRT_MAX_QUOTIENT, START_ZONE, reciprocal_power_of_two,
-};
+use crate::trace::kernel::{CORNER_TOLERANCE, EDGE_TOLERANCE, SQRT_MAX_QUOTIENT, START_ZONE};
 
 /// Hits, one ray-triangle pair per lane: distances and barycentric weights of the second and third vertex.
 pub(super) struct TriangleHits<V> {
@@ -219,13 +216,6 @@ pub(super) fn scaled_normals<S: Simd, V: SimdFloat<S, Element = f32>>(
     };
     let (a, b) = (edge(v1), edge(v2));
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-}
-
-/// The power of two by which `scaled_normal` scales a triangle's edges.
-#[inline(always)]
-pub(super) fn edge_scale(triangle: &Triangle) -> f32 {
-    let [v0, v1, v2] = [triangle.v0, triangle.v1, triangle.v2].map(Vec3::from_array);
-    reciprocal_power_of_two(kernel::max_component((v1 - v0).abs().max((v2 - v0).abs())))
 }
 
 #[inline(always)]

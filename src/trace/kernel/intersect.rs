@@ -331,10 +331,28 @@ pub(crate) fn plane_t(ray: &ShearRay, triangle: &Triangle, t: Vec3, weights: Vec
 /// The normal of a triangle, from edges that are scaled to about 1 by a power of two.
 #[inline]
 pub(crate) fn scaled_normal(triangle: &Triangle) -> Vec3 {
+    let [edge_1, edge_2] = scaled_edges(triangle);
+    cross3(edge_1, edge_2)
+}
+
+/// The edges from the first corner of a triangle, scaled to about 1 by a power of two.
+#[inline(always)]
+pub(crate) fn scaled_edges(triangle: &Triangle) -> [Vec3; 2] {
+    let scale = edge_scale(triangle);
+    edges(triangle).map(|edge| edge * scale)
+}
+
+/// The power of two that scales the edges from the first corner of a triangle to about 1.
+#[inline(always)]
+pub(crate) fn edge_scale(triangle: &Triangle) -> f32 {
+    let [edge_1, edge_2] = edges(triangle);
+    reciprocal_power_of_two(max_component(edge_1.abs().max(edge_2.abs())))
+}
+
+#[inline(always)]
+fn edges(triangle: &Triangle) -> [Vec3; 2] {
     let [v0, v1, v2] = [triangle.v0, triangle.v1, triangle.v2].map(Vec3::from_array);
-    let (edge_1, edge_2) = (v1 - v0, v2 - v0);
-    let scale = reciprocal_power_of_two(max_component(edge_1.abs().max(edge_2.abs())));
-    cross3(edge_1 * scale, edge_2 * scale)
+    [v1 - v0, v2 - v0]
 }
 
 #[cfg(test)]

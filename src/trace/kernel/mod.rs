@@ -26,8 +26,8 @@ mod wide;
 pub(crate) use camera::camera_ray;
 pub(crate) use intersect::{
     BOX_ENTRY_SCALE, CORNER_TOLERANCE, EDGE_TOLERANCE, MIN_COMPONENT, MIN_RELATIVE_COMPONENT, SHEARED_EXTENT,
-    SQRT_MAX_QUOTIENT, START_ZONE, SlabRay, TriangleHit, intersects_box, max_component, padded_box,
-    reciprocal_power_of_two, scaled_normal, shear_ray, slab_ray,
+    SQRT_MAX_QUOTIENT, START_ZONE, SlabRay, TriangleHit, edge_scale, intersects_box, max_component, padded_box,
+    scaled_normal, shear_ray, slab_ray,
 };
 pub(crate) use light::LightSample;
 #[cfg(test)]

@@ -9,7 +9,7 @@
 use glam::Vec3;
 
 use super::KernelScene;
-use super::intersect::{TriangleHit, intersect_triangle, max_component, reciprocal_power_of_two};
+use super::intersect::{TriangleHit, intersect_triangle, max_component, scaled_edges};
 use super::material::{fails_alpha_test, surface_transmittance};
 use super::math::{dot3, max, min, transform_vector};
 use super::traversal_state::TraversalRay;
@@ -124,10 +124,7 @@ pub(crate) struct GrazingPlane {
 impl GrazingPlane {
     #[inline(always)]
     pub(crate) fn of(triangle: &Triangle) -> Self {
-        let [v0, v1, v2] = [triangle.v0, triangle.v1, triangle.v2].map(Vec3::from_array);
-        let (edge_1, edge_2) = (v1 - v0, v2 - v0);
-        let scale = reciprocal_power_of_two(max_component(edge_1.abs().max(edge_2.abs())));
-        let (a, b) = (edge_1 * scale, edge_2 * scale);
+        let [a, b] = scaled_edges(triangle);
         let plus = Vec3::new(a.y * b.z, a.z * b.x, a.x * b.y);
         let minus = Vec3::new(a.z * b.y, a.x * b.z, a.y * b.x);
         Self { normal: plus - minus, bound: plus.abs() + minus.abs() }

@@ -1,7 +1,9 @@
 //! The range of sizes within one geometry, and of distances and directions of rays.
+#![expect(clippy::unwrap_used, reason = "a panic in a test is a failure")]
 
 use glam::{DAffine3, Quat, Vec3};
 use ropewalk::Error;
+use ropewalk::device::DeviceArrays;
 use ropewalk::device::layout::{NONE, RayRecord};
 use ropewalk_testkit::{Builder, Mesh, Placed, Random, arrays_by, tracers};
 
@@ -13,6 +15,16 @@ fn rays(count: usize, distance: f32) -> Vec<RayRecord> {
         RayRecord { origin: from.to_array(), t_min: 0.0, direction: (to - from).to_array(), t_max: f32::MAX }
     };
     (0..count).map(|_| ray()).collect()
+}
+
+/// Every executor finds the ball on each of these rays, from 4 radii away.
+fn all_hit_the_ball(arrays: &mut DeviceArrays, rays: &[RayRecord], case: &str) {
+    for mut tracer in tracers() {
+        tracer.upload(arrays).unwrap();
+        let hits = tracer.closest_hits(arrays, rays, NONE).unwrap();
+        let on_ball = hits.iter().filter(|hit| hit.primitive != NONE && hit.t > 0.6 && hit.t < 0.95).count();
+        assert_eq!(on_ball, rays.len(), "{case}, {}", tracer.device().executor);
+    }
 }
 
 #[test]
@@ -35,12 +47,7 @@ fn a_ball_is_hit_above_a_floor_a_thousand_million_times_as_wide() {
             RayRecord { origin: from.to_array(), direction: (along * side).to_array(), ..ray }
         };
         let rays: Vec<RayRecord> = rays(2000, 4.0).into_iter().map(from_above).collect();
-        for mut tracer in tracers() {
-            tracer.upload(&mut arrays).unwrap();
-            let hits = tracer.closest_hits(&arrays, &rays, NONE).unwrap();
-            let on_ball = hits.iter().filter(|hit| hit.primitive != NONE && hit.t > 0.6 && hit.t < 0.95).count();
-            assert_eq!(on_ball, rays.len(), "{size:e}, {angle}, {}", tracer.device().executor);
-        }
+        all_hit_the_ball(&mut arrays, &rays, &format!("{size:e}, {angle}"));
     }
 }
 
@@ -54,13 +61,7 @@ fn a_ball_is_hit_beside_a_vertex_that_is_1e20_away() {
         mesh.indices.push([first, first + 1, first + 2]);
         for builder in Builder::BOTH {
             let mut arrays = arrays_by(builder, &[mesh.clone()], &[Placed::new(0, DAffine3::IDENTITY)]);
-            let rays = rays(1000, 4.0);
-            for mut tracer in tracers() {
-                tracer.upload(&mut arrays).unwrap();
-                let hits = tracer.closest_hits(&arrays, &rays, NONE).unwrap();
-                let on_ball = hits.iter().filter(|hit| hit.primitive != NONE && hit.t > 0.6 && hit.t < 0.95).count();
-                assert_eq!(on_ball, rays.len(), "{size:e}, {builder:?}, {}", tracer.device().executor);
-            }
+            all_hit_the_ball(&mut arrays, &rays(1000, 4.0), &format!("{size:e}, {builder:?}"));
         }
     }
 }
